@@ -1,0 +1,221 @@
+"""Engine tier: the square-root sigma-point filter with the exact Joseph form, fused by Numba."""
+
+from __future__ import annotations
+
+import sys
+from functools import lru_cache, partial
+from math import sqrt
+from pathlib import Path
+from types import FunctionType, ModuleType
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from kfenv.filters.fingerprint import fingerprint
+from kfenv.filters.results import Prediction, Run, Update
+from kfenv.models.model import Motion, Sensor
+from kfenv.models.namespaces import compiled
+
+Array = NDArray[np.float64]
+LANES = 8  # rows are padded to a multiple of this many float64
+
+
+class Engine:
+    """A batch of filters for one motion and one sensor.
+
+    All arrays are float64 and batch first: means (B, n), lower factors (B, n, n),
+    measurements (B, m) with NaN where nothing arrived. A filter that fails sets its
+    entry of ``status`` (see `kfenv.filters.results.FAILURES`), its outputs are then
+    meaningless, and the others do not notice.
+
+    Args:
+        motion, sensor: the models.
+        kappa: spread of the sigma points, >= 0 so that no weight is negative (SPEC 2.2).
+
+    Raises:
+        ValueError: if kappa is negative or not finite.
+    """
+
+    def __init__(self, motion: Motion, sensor: Sensor, kappa: float = 1.0) -> None:
+        if not 0.0 <= kappa < float("inf"):
+            raise ValueError(
+                f"kappa must be a non-negative number, got {kappa!r}: a negative central "
+                "weight has no square root. The reference filters accept it."
+            )
+        self.motion, self.sensor, self.kappa = motion, sensor, float(kappa)
+        self._kernel = _kernel(motion, sensor, self.kappa)
+        n, m = len(motion.states), len(sensor.channels)
+        self._n, self._m = n, m
+        self._weights = np.zeros(_padded(2 * n + 1))
+        self._weights[: 2 * n + 1] = 0.5 / (n + kappa)
+        self._weights[0] = kappa / (n + kappa)
+        self._widths = np.array([_padded(n), _padded(n + 1 + m), _padded(n + m)])
+        flat = [rows * self._kernel.W for rows in (n, m, max(n, m), n, m, m)]
+        self._scratch = (
+            *(np.zeros(size) for size in flat),
+            np.zeros((m, m)), np.zeros((m, m)), np.zeros(m, np.int64), np.zeros((n, n)),
+        )  # fmt: skip
+
+    def __reduce__(self):
+        return Engine, (self.motion, self.sensor, self.kappa)
+
+    def predict(
+        self, mean: Array, factor: Array, u: Array, dt: Array, status: NDArray[np.int64]
+    ) -> Prediction:
+        """Time update over dt (B,) with known inputs u (B, p)."""
+        result = Prediction(
+            np.empty_like(mean), np.empty_like(factor), np.empty_like(factor)
+        )
+        self._kernel.predict(mean, factor, u, dt, self._weights, self._scratch, *result, status)
+        return result
+
+    def innovate(
+        self,
+        prediction: Prediction,
+        fading: Array,
+        process_scale: Array,
+        s: Array,
+        z: Array,
+        sd: Array,
+        status: NDArray[np.int64],
+    ) -> Update:
+        """Form the innovation and stop there: mean and factor are the predicted ones.
+
+        The predicted covariance is fading root root^T + process_scale noise noise^T.
+
+        Args:
+            fading, process_scale: knobs, (B,), variance factors.
+            s: known inputs of the sensor, (B, k).
+            z: measurement (B, m), NaN where nothing arrived.
+            sd: standard deviation of its noise, (B, m).
+        """
+        return self._update(prediction, fading, process_scale, s, z, sd, status, correct=False)
+
+    def update(
+        self,
+        prediction: Prediction,
+        fading: Array,
+        process_scale: Array,
+        s: Array,
+        z: Array,
+        sd: Array,
+        status: NDArray[np.int64],
+    ) -> Update:
+        """Measurement update; arguments as in `innovate`."""
+        return self._update(prediction, fading, process_scale, s, z, sd, status, correct=True)
+
+    def _update(self, prediction, fading, process_scale, s, z, sd, status, correct) -> Update:
+        result = Update(
+            np.empty_like(prediction.mean), np.empty_like(prediction.root),
+            np.empty_like(z), np.empty_like(z), np.empty_like(z),
+            np.empty(len(z)), np.empty(len(z)),
+        )  # fmt: skip
+        self._kernel.update(
+            *prediction, fading, process_scale, s, z, sd, self._weights, self._widths,
+            self._scratch, correct, *result, status,
+        )  # fmt: skip
+        return result
+
+    def run(
+        self,
+        mean: Array,
+        factor: Array,
+        time: Array,
+        u: Array,
+        s: Array,
+        z: Array,
+        sd: Array,
+        fading: Array,
+        process_scale: Array,
+    ) -> Run:
+        """Filter whole recordings, with no Python per step.
+
+        Args:
+            mean, factor: initial state at the first time, (B, n) and (B, n, n).
+            time: (T,).
+            u, s: known inputs of the motion (B, T, p) and of the sensor (B, T, k).
+            z, sd: measurements and noise deviations, (B, T, m).
+            fading, process_scale: constant knobs, (B,).
+        """
+        batch, steps = z.shape[:2]
+        result = Run(
+            np.full((batch, steps, self._n), np.nan), np.full((batch, steps), np.nan),
+            np.zeros(batch, np.int64), np.full(batch, -1),
+        )  # fmt: skip
+        dt = np.diff(time, prepend=time[:1])
+        n, m = self._n, self._m
+        pending = (np.zeros(n), np.zeros((n, n)), np.zeros((n, n)), *np.zeros((3, m)))
+        self._kernel.run(
+            mean.copy(), factor.copy(), dt, u, s, z, sd, fading, process_scale,
+            self._weights, self._widths, self._scratch, pending, *result,
+        )  # fmt: skip
+        return result
+
+
+def _padded(width: int) -> int:
+    return -(-width // LANES) * LANES
+
+
+@lru_cache(maxsize=64)
+def _kernel(motion: Motion, sensor: Sensor, kappa: float) -> ModuleType:
+    """The kernel template bound to a pair of models."""
+    path = Path(__file__).with_name("kernel.py")
+    n, m = len(motion.states), len(sensor.channels)
+    stride = _padded(max(2 * n + 1, n + 1 + m))
+    constants = {
+        "N": n,
+        "M": m,
+        "W": stride,
+        "SPREAD": sqrt(n + kappa),
+        "ODD": 0.5 / sqrt(n + kappa),
+        "EVEN": sqrt(0.25 / (n + kappa)),
+        "CENTRE": sqrt(kappa / (n + kappa)),
+        "STATE_IS_ANGLE": tuple(state.angle for state in motion.states),
+        "CHANNEL_IS_ANGLE": tuple(channel.angle for channel in sensor.channels),
+        "NOISE_PATTERN": motion.noise_pattern,
+    }
+    identity = fingerprint(motion.build, sensor.build, sorted(constants.items()))
+    module = ModuleType(f"{__package__}.kernel_{identity}")
+    module.__file__ = str(path)
+    functions = motion.build(compiled)
+    module.__dict__.update(
+        constants,
+        step=functions.step,
+        noise_factor=functions.noise_factor,
+        measure=sensor.build(compiled),
+        entry_point=partial(_entry_point, identity=identity),
+        **_accessors(n, m, len(motion.inputs), len(sensor.inputs), stride),
+    )
+    sys.modules[module.__name__] = module  # where the cache looks for the functions it restores
+    exec(compile(path.read_text(), str(path), "exec"), module.__dict__)
+    return module
+
+
+def _entry_point(function: FunctionType, identity: str):
+    """Compile a kernel function, cached on disk under a name of its own for each pair."""
+    function.__qualname__ = f"{function.__name__}_{identity}"
+    return njit(cache=True, **compiled.FLOATING_POINT)(function)
+
+
+def _accessors(n: int, m: int, p: int, k: int, stride: int) -> dict:
+    """Functions between flat rows and tuples: Numba has no tuple of computed length."""
+
+    def gather(count: int, place: str) -> str:
+        return "(" + "".join(f"v[{place.format(i=i)}]," for i in range(count)) + ")"
+
+    def scatter(count: int) -> str:
+        return "; ".join(f"v[{i * stride} + j] = y[{i}]" for i in range(count))
+
+    row = f"{{i}} * {stride} + j"
+    source = (
+        f"def state_components(v, j): return {gather(n, row)}\n"
+        f"def input_components(v): return {gather(p, '{i}')}\n"
+        f"def sensor_components(v): return {gather(k, '{i}')}\n"
+        f"def store_state(v, j, y): {scatter(n)}\n"
+        f"def store_channels(v, j, y): {scatter(m)}\n"
+    )
+    functions: dict = {}
+    exec(source, functions)
+    functions.pop("__builtins__")
+    return {name: compiled.function(f) for name, f in functions.items()}

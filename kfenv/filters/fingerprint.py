@@ -1,0 +1,47 @@
+"""A hash of a function's meaning, so that compiled code is reused only for the same source."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import partial
+from types import CodeType, FunctionType, ModuleType
+
+
+def fingerprint(*objects: object) -> str:
+    """Hash functions (with all they call), partial functions and plain constants.
+
+    Two calls agree in different processes exactly if code and constants agree.
+    """
+    digest = hashlib.sha256()
+    seen: set[int] = set()
+    for item in objects:
+        _feed(digest, item, seen)
+    return digest.hexdigest()[:16]
+
+
+def _feed(digest, item: object, seen: set[int]) -> None:
+    if isinstance(item, partial):
+        for part in (item.func, item.args, sorted(item.keywords.items())):
+            _feed(digest, part, seen)
+    elif isinstance(item, FunctionType):
+        if id(item) in seen:
+            return
+        seen.add(id(item))
+        _feed(digest, item.__code__, seen)
+        _feed(digest, item.__defaults__, seen)
+        for cell in item.__closure__ or ():
+            _feed(digest, cell.cell_contents, seen)
+        for name in item.__code__.co_names:
+            if name in item.__globals__:
+                _feed(digest, item.__globals__[name], seen)
+    elif isinstance(item, CodeType):
+        digest.update(item.co_code)
+        digest.update(repr(item.co_names).encode())
+        _feed(digest, item.co_consts, seen)
+    elif isinstance(item, ModuleType):
+        digest.update(item.__name__.encode())
+    elif isinstance(item, tuple | list):
+        for part in item:
+            _feed(digest, part, seen)
+    else:
+        digest.update(repr(item).encode())

@@ -1,0 +1,54 @@
+"""What the filters of both tiers return, and how a failure is told."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+FAILURES = (
+    "",
+    "the prediction is not finite: the state has left the motion model's domain",
+    "the innovation is not finite: check the measurement and its noise",
+    "the updated state is not finite: the innovation covariance is singular",
+)
+
+
+class Prediction(NamedTuple):
+    """Predicted state; its covariance is root root^T + noise noise^T until the knobs are set."""
+
+    mean: Array  # (B, n)
+    root: Array  # (B, n, n) lower factor of the propagated covariance
+    noise: Array  # (B, n, n) lower factor of the discrete process noise
+
+
+class Update(NamedTuple):
+    """A state and what the measurement said of it; NaN in channels that are missing."""
+
+    mean: Array  # (B, n)
+    factor: Array  # (B, n, n) lower factor of the covariance
+    innovation: Array  # (B, m)
+    variance: Array  # (B, m) diagonal of the innovation covariance
+    whitened: Array  # (B, m) C^-1 innovation, C the innovation factor of the channels present
+    nis: Array  # (B,) normalised innovation squared, NaN if nothing arrived
+    log_likelihood: Array  # (B,) of the innovation, 0 if nothing arrived
+
+
+class Run(NamedTuple):
+    """A filter run over whole recordings with constant knobs."""
+
+    mean: Array  # (B, T, n) posterior means, NaN from a failure on
+    nis: Array  # (B, T)
+    status: NDArray[np.int64]  # (B,) 0, or an index of FAILURES
+    failed_at: NDArray[np.int64]  # (B,) time index of the failure, -1 if none
+
+
+def describe_failures(status: NDArray[np.int64], failed_at: NDArray[np.int64]) -> list[str]:
+    """One sentence per failed filter: which one, when and why."""
+    return [
+        f"Filter {b} failed at time index {failed_at[b]}: {FAILURES[status[b]]}."
+        for b in np.flatnonzero(status)
+    ]

@@ -1,0 +1,14 @@
+"""Python floats."""
+
+from math import atan2, cos, sin, sqrt
+
+maximum = max
+minimum = min
+
+
+def function(f):
+    """Leave the function as it is: Python runs it."""
+    return f
+
+
+__all__ = ["atan2", "cos", "function", "maximum", "minimum", "sin", "sqrt"]
