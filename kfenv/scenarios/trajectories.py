@@ -1,0 +1,314 @@
+"""Aircraft trajectories about a radar: the papers' two, and random manoeuvres for training.
+
+A trajectory is an array (T, 9) of axis-major states [x, vx, ax, y, vy, ay, z, vz, az]
+(x east, y north, z up, radar at the origin; SPEC section 1). Three commands fly the
+aircraft: heading rate, climb rate and speed, each constant between smooth edges.
+Velocity and acceleration are closed formulas of the commands; position is the
+integral of velocity, taken on a fixed inner grid so that it does not depend on
+the times asked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+from typing import Literal
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import ArrayLike, NDArray
+
+from kfenv.scenarios.coverage import CHECK_STEP, MAX_RANGE, MIN_RANGE, check_time, place, turn
+
+Array = NDArray[np.float64]
+
+# The papers' trajectories (SPEC 7.1): (begin s, end s, rate in deg/s or m/s).
+PAPER_SPEED = {"A": 133.0, "B": 130.0}  # m/s
+PAPER_START = {"A": (-10_000.0, 1_000.0, 300.0), "B": (-6_500.0, 6_500.0, 400.0)}  # m
+PAPER_TURNS = {
+    "A": ((20, 35, 1.0), (35, 50, -1.0), (110, 203, -2.0)),
+    "B": ((15, 35, 1.5), (35, 55, -1.5), (75, 168, -2.0), (205, 235, 2.0)),
+}
+PAPER_CLIMBS = {
+    "A": ((30, 120, 10.0), (150, 200, 8.0), (215, 245, -12.0)),
+    "B": ((20, 120, 8.0), (150, 200, 6.0), (210, 245, -10.0)),
+}
+PAPER_TURN_EDGE, PAPER_CLIMB_EDGE = 3.0, 8.0  # s
+
+# What a random trajectory may do.
+MIN_SPEED, MAX_SPEED = 35.0, 140.0  # m/s
+MAX_SPEED_CHANGE = 25.0  # m/s from one leg to the next
+MIN_ALTITUDE, MAX_ALTITUDE = 150.0, 3_000.0  # m above the radar
+MIN_CLIMB, MAX_CLIMB = 2.0, 12.0  # m/s, up or down
+MIN_TURN_RATE, MAX_TURN_RATE = np.radians(2.0), np.radians(10.0)  # rad/s, left or right
+TURN_LEG, TURN_EDGE = (6.0, 25.0), (2.0, 5.0)  # s, shortest and longest
+CLIMB_LEG, CLIMB_EDGE = (15.0, 40.0), (8.0, 12.0)  # s
+TURNING, CLIMBING, ACCELERATING = 0.6, 0.5, 0.6  # shares of the legs
+MAX_DURATION = 600.0  # s; a longer flight hardly ever stays in coverage
+MAX_ATTEMPTS = 1_000
+
+INNER_STEP = 0.25  # s; position is then good to 0.1 mm
+
+
+def paper_trajectory(name: Literal["A", "B"], time: ArrayLike) -> Array:
+    """Return trajectory A or B of SPEC 7.1.
+
+    The raised-cosine edges (3 s of heading rate, 8 s of climb) lie inside the stated
+    windows: a command leaves zero at a window's begin and is back there at its end.
+    Only so do SPEC's figures come out, e.g. A's closest approach of 922 m at 75.1 s
+    (edges centred on the ends of the windows give 895 m).
+
+    Args:
+        name: "A" (experiments E1, E2) or "B" (E3, E4).
+        time: (T,) increasing, from 0 s on; after 250 s both fly straight on.
+
+    Returns:
+        States (T, 9) in m, m/s, m/s^2.
+
+    Raises:
+        ValueError: if the name is unknown or the times are unusable.
+    """
+    if name not in PAPER_START:
+        raise ValueError(f"name must be 'A' or 'B', got {name!r}.")
+    time = check_time(time)
+    if time[0] < 0.0:
+        raise ValueError(f"trajectory {name} begins at 0 s, time at {time[0]:g} s.")
+    turns = [(begin, end, (np.radians(rate),)) for begin, end, rate in PAPER_TURNS[name]]
+    climbs = [(begin, end, (rate, 0.0)) for begin, end, rate in PAPER_CLIMBS[name]]
+    flight = Flight(
+        turns=_windows(turns, PAPER_TURN_EDGE, base=(0.0,)),
+        climbs_and_speeds=_windows(climbs, PAPER_CLIMB_EDGE, base=(0.0, PAPER_SPEED[name])),
+        heading=np.pi / 2,
+    )
+    start = np.array(PAPER_START[name])
+    return _states(flight, _fly(flight, time[-1]), start, time)
+
+
+def random_trajectory(rng: Generator, time: ArrayLike) -> Array:
+    """Return a random flight that stays in the radar's coverage (`kfenv.scenarios.coverage`).
+
+    Straight legs and turns of 2 to 10 deg/s follow one another, and independently of
+    them level legs, climbs and descents of 2 to 12 m/s with changes of speed. Speed
+    stays within 35 to 140 m/s, height within 150 to 3000 m. The flight is then turned
+    about the vertical and shifted at random; a flight that does not fit is redrawn, so
+    long flights are those that turn more.
+
+    Args:
+        rng: where the flight comes from; the same state gives the same bits.
+        time: (T,) increasing, s. Flights of one duration do not depend on the sampling.
+
+    Returns:
+        States (T, 9) in m, m/s, m/s^2.
+
+    Raises:
+        ValueError: if the times are unusable or span more than 600 s.
+        RuntimeError: if no flight stayed in coverage (none seen up to 600 s).
+    """
+    time = check_time(time)
+    elapsed = time - time[0]
+    duration = round(float(elapsed[-1]), 6)  # 0.1 * 1200 and 0.5 * 240 are the same flight
+    if duration > MAX_DURATION:
+        raise ValueError(
+            f"a random trajectory lasts at most {MAX_DURATION:g} s, time spans {duration:g} s; "
+            "split it into episodes."
+        )
+    for _ in range(MAX_ATTEMPTS):
+        flight = _random_flight(rng, duration)
+        nodes = _fly(flight, duration)
+        start = _random_start(rng, nodes)
+        if start is not None:
+            angle, position = start
+            turned = Flight(flight.turns, flight.climbs_and_speeds, flight.heading + angle)
+            return _states(turned, nodes.turned(angle), position, elapsed)
+    raise RuntimeError(
+        f"no random flight of {duration:g} s stayed in coverage; ask for a shorter one."
+    )
+
+
+@dataclass(frozen=True)
+class Commands:
+    """C commands that move together between levels along raised-cosine edges.
+
+    Attributes:
+        begin: (K,) when each edge begins, s.
+        edge: (K,) how long it lasts, s; it ends before the next begins.
+        level: (C, K + 1) the values before, between and after the edges.
+    """
+
+    begin: Array
+    edge: Array
+    level: Array
+
+    def evaluate(self, time: Array) -> tuple[Array, Array, Array]:
+        """Return integral (from the first edge on), value and slope, each (C, T)."""
+        jump = np.diff(self.level)
+        held = self.level[:, 1:-1] * np.diff(self.begin)
+        missed = 0.5 * (jump * self.edge)[:, :-1]  # by rising late, along each edge
+        integral = np.zeros_like(jump)
+        np.cumsum(held - missed, axis=1, out=integral[:, 1:])
+
+        # Before the first edge its phase stays 0, which leaves the first level.
+        k = np.maximum(np.searchsorted(self.begin, time, side="right") - 1, 0)
+        since = time - self.begin[k]
+        edge = self.edge[k]
+        phase = np.pi * np.clip(since / edge, 0.0, 1.0)
+        sine = np.sin(phase)
+        before, jump = self.level[:, k], jump[:, k]
+        risen = 0.5 * (1.0 - np.cos(phase))
+        area = np.maximum(since - edge, 0.0) + (0.5 / np.pi) * edge * (phase - sine)
+        return (
+            integral[:, k] + before * since + jump * area,
+            before + jump * risen,
+            jump * (0.5 * np.pi * sine / edge),
+        )
+
+
+@dataclass(frozen=True)
+class Flight:
+    """An aircraft's commands.
+
+    Attributes:
+        turns: heading rate, rad/s (C = 1).
+        climbs_and_speeds: climb rate and speed along the path, m/s (C = 2).
+        heading: at the time when the first turn's edge begins, rad.
+    """
+
+    turns: Commands
+    climbs_and_speeds: Commands
+    heading: float
+
+    def motion(self, time: Array) -> tuple[Array, Array]:
+        """Return velocity and acceleration, each (3, T), in m/s and m/s^2."""
+        (heading,), (turn_rate,), _ = self.turns.evaluate(time)
+        _, (climb, speed), (climb_slope, speed_slope) = self.climbs_and_speeds.evaluate(time)
+        sine, cosine = np.sin(self.heading + heading), np.cos(self.heading + heading)
+        ground = np.sqrt(speed * speed - climb * climb)
+        ground_slope = (speed * speed_slope - climb * climb_slope) / ground
+        across = ground * turn_rate
+        velocity = np.stack([ground * sine, ground * cosine, climb])
+        acceleration = np.stack(
+            [
+                ground_slope * sine + across * cosine,
+                ground_slope * cosine - across * sine,
+                climb_slope,
+            ]
+        )
+        return velocity, acceleration
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """A flight on the inner grid 0, 0.25, 0.5, ... s; each (3, N), position from zero."""
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+
+    def turned(self, angle: float) -> Nodes:
+        """Return the nodes of the flight turned clockwise by the angle in rad."""
+        return Nodes(
+            *(
+                np.vstack([turn(vector[:2], angle), vector[2:]])
+                for vector in (self.position, self.velocity, self.acceleration)
+            )
+        )
+
+
+def _fly(flight: Flight, duration: float) -> Nodes:
+    """Integrate a flight from 0 s to the duration or just beyond."""
+    time = INNER_STEP * np.arange(ceil(duration / INNER_STEP) + 1)
+    velocity, acceleration = flight.motion(time)
+    position = np.zeros_like(velocity)
+    steps = _travelled(
+        INNER_STEP, velocity[:, :-1], velocity[:, 1:], acceleration[:, :-1], acceleration[:, 1:]
+    )
+    np.cumsum(steps, axis=1, out=position[:, 1:])
+    return Nodes(position, velocity, acceleration)
+
+
+def _travelled(step, velocity, next_velocity, acceleration, next_acceleration):
+    """Integrate velocity over a step: the trapezoid with its end correction, order 4."""
+    return step * (
+        0.5 * (velocity + next_velocity) + step / 12.0 * (acceleration - next_acceleration)
+    )
+
+
+def _states(flight: Flight, nodes: Nodes, start: Array, time: Array) -> Array:
+    """Return the states (T, 9) at the times, in seconds from the first node."""
+    k = (time / INNER_STEP).astype(int)
+    velocity, acceleration = flight.motion(time)
+    states = np.empty((time.size, 9))
+    states[:, 0::3] = (
+        start[:, None]
+        + nodes.position[:, k]
+        + _travelled(
+            time - INNER_STEP * k,
+            nodes.velocity[:, k],
+            velocity,
+            nodes.acceleration[:, k],
+            acceleration,
+        )
+    ).T
+    states[:, 1::3] = velocity.T
+    states[:, 2::3] = acceleration.T
+    return states
+
+
+def _windows(
+    windows: list[tuple[float, float, tuple[float, ...]]], edge: float, base: tuple[float, ...]
+) -> Commands:
+    """Make commands that leave their base for (begin, end, added values), edges inside."""
+    begin = np.array([start for low, high, _ in windows for start in (low, high - edge)])
+    level = np.tile(np.array(base, dtype=float)[:, None], begin.size + 1)
+    level[:, 1::2] += np.array([values for _, _, values in windows]).T
+    return Commands(begin, np.full(begin.size, edge), level)
+
+
+def _random_flight(rng: Generator, duration: float) -> Flight:
+    begin, edge = _random_legs(rng, duration, TURN_LEG, TURN_EDGE)
+    rate = _either_way(rng, MIN_TURN_RATE, MAX_TURN_RATE, TURNING, begin.size + 1)
+    turns = Commands(begin, edge, rate[None, :])
+
+    begin, edge = _random_legs(rng, duration, CLIMB_LEG, CLIMB_EDGE)
+    climb = _either_way(rng, MIN_CLIMB, MAX_CLIMB, CLIMBING, begin.size + 1)
+    change = _either_way(rng, 0.0, MAX_SPEED_CHANGE, ACCELERATING, begin.size + 1)
+    change[0] = rng.uniform(0.0, MAX_SPEED - MIN_SPEED)
+    speed = MIN_SPEED + _folded(np.cumsum(change), MAX_SPEED - MIN_SPEED)
+    return Flight(turns, Commands(begin, edge, np.stack([climb, speed])), heading=0.0)
+
+
+def _random_legs(
+    rng: Generator, duration: float, leg: tuple[float, float], edge: tuple[float, float]
+) -> tuple[Array, Array]:
+    """Draw when edges begin and how long they last, from before 0 s to the duration."""
+    count = ceil((duration + leg[1]) / leg[0])
+    begin = np.cumsum(rng.uniform(*leg, count)) - leg[1]
+    return begin, rng.uniform(*edge, count)
+
+
+def _either_way(rng: Generator, least: float, most: float, share: float, count: int) -> Array:
+    """Draw values of a size between least and most, of either sign; all but a share are 0."""
+    size = rng.uniform(least, most, count)
+    sign = np.where(rng.random(count) < 0.5, -1.0, 1.0)
+    return np.where(rng.random(count) < share, sign * size, 0.0)
+
+
+def _folded(values: Array, most: float) -> Array:
+    """Reflect values into 0 to most, as a ball between two walls; no step gets longer."""
+    return most - np.abs(values % (2.0 * most) - most)
+
+
+def _random_start(rng: Generator, nodes: Nodes) -> tuple[float, Array] | None:
+    """Draw the turn and the first position that keep a flight in coverage, if there are any."""
+    every = round(CHECK_STEP / INNER_STEP)
+    path = np.hstack([nodes.position[:, ::every], nodes.position[:, -1:]])
+    low, high = path.min(axis=1), path.max(axis=1)
+    room = (MAX_ALTITUDE - high[2]) - (MIN_ALTITUDE - low[2])
+    if room < 0.0:
+        return None
+    height = MIN_ALTITUDE - low[2] + room * rng.random()
+    path[2] += height
+    placement = place(rng, path, 0.5 * (low + high)[:2], (MIN_RANGE, MAX_RANGE))
+    if placement is None:
+        return None
+    return placement.angle, np.append(placement.shift, height)
