@@ -350,6 +350,10 @@ def run(mean, factor, dt, u, s, z, sd, fading, process_scale, weights, widths, s
                                   innovation, variance, whitened, present, X, Z, A, U, Re, C,
                                   weights.size, widths[1], widths[2])  # fmt: skip
             nis[b, t] = _assess(count, present, whitened, C)[0]
+            if count > 0 and not isfinite(nis[b, t]):
+                status[b] = BAD_INNOVATION
+                failed_at[b] = t
+                break
             if count > 0:
                 _correct_one(predicted, joined, count, present, innovation, A, U, Re, C, K,
                              mean[b], factor[b], widths[0], widths[2])  # fmt: skip

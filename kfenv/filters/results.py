@@ -14,6 +14,7 @@ FAILURES = (
     "the prediction is not finite: the state has left the motion model's domain",
     "the innovation is not finite: check the measurement and its noise",
     "the updated state is not finite: the innovation covariance is singular",
+    "the covariance is no longer positive definite: choose a Joseph form of the update",
 )
 
 
@@ -44,6 +45,17 @@ class Run(NamedTuple):
     nis: Array  # (B, T)
     status: NDArray[np.int64]  # (B,) 0, or an index of FAILURES
     failed_at: NDArray[np.int64]  # (B,) time index of the failure, -1 if none
+
+
+class History(NamedTuple):
+    """A `Run` with the posterior covariances; NaN from a failure on."""
+
+    mean: Array  # (B, T, n)
+    nis: Array  # (B, T)
+    status: NDArray[np.int64]  # (B,)
+    failed_at: NDArray[np.int64]  # (B,)
+    covariance: Array  # (B, T, n, n)
+    factor: Array | None  # (B, T, n, n) lower factors, None where the filter carries none
 
 
 def describe_failures(status: NDArray[np.int64], failed_at: NDArray[np.int64]) -> list[str]:

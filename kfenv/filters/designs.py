@@ -1,0 +1,104 @@
+"""The family of reference filters: what a filter is chosen from, and names for the choices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from math import isfinite
+from typing import Literal
+
+SQUARE_ROOT_UPDATES = ("classical", "joseph", "joseph-prior", "joseph-exact")
+COVARIANCE_UPDATES = ("unsymmetrised", "khp", *SQUARE_ROOT_UPDATES)
+
+
+@dataclass(frozen=True)
+class FilterDesign:
+    """One filter of the family (SPEC 2.2): transform, form of the covariance, form of the update.
+
+    Attributes:
+        transform: how a Gaussian passes a function. ``"extended"`` linearises with the
+            exact Jacobian (on linear models this is the Kalman filter), ``"unscented"``
+            takes 2n+1 sigma points, ``"cubature"`` is unscented with kappa = 0.
+        form: ``"covariance"`` carries P, ``"square-root"`` a lower factor of it.
+        update: how the covariance is corrected, with gain K and innovation covariance Pzz.
+
+            ``"classical"`` P - K Pzz K^T, symmetrised; in square-root form one rank-one
+            downdate for each column of K chol(Pzz).
+            ``"unsymmetrised"`` the same as printed, which rounding makes diverge (SPEC 2.3).
+            ``"khp"`` (I - K H) P, extended only.
+            ``"joseph"`` (I - K H) P (I - K H)^T + K R K^T with the Jacobian H at the
+            posterior mean, as printed (S0 eq 17, 18, 32).
+            ``"joseph-prior"`` the same with H at the predicted mean.
+            ``"joseph-exact"`` the Joseph form from the sigma points themselves (SPEC 9).
+        kappa, alpha, beta: spread of the sigma points, unscented only. The defaults
+            alpha = 1, beta = 0 give the plain transform; others the scaled one.
+
+    Raises:
+        ValueError: if the parts do not exist or do not go together.
+    """
+
+    transform: Literal["extended", "unscented", "cubature"]
+    form: Literal["covariance", "square-root"]
+    update: str
+    kappa: float = 1.0
+    alpha: float = 1.0
+    beta: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_choice("transform", self.transform, ("extended", "unscented", "cubature"))
+        _check_choice("form", self.form, ("covariance", "square-root"))
+        updates = SQUARE_ROOT_UPDATES if self.form == "square-root" else COVARIANCE_UPDATES
+        _check_choice(f"update of the {self.form} form", self.update, updates)
+        extended = self.transform == "extended"
+        if self.update == "khp" and not extended:
+            raise ValueError("update 'khp' needs the Jacobian of the 'extended' transform.")
+        if self.update == "joseph-exact" and extended and self.form == "covariance":
+            raise ValueError("With the 'extended' transform 'joseph-prior' is exact: use that.")
+        spread = (self.kappa, self.alpha, self.beta)
+        if self.transform != "unscented" and spread != (1.0, 1.0, 0.0):
+            raise ValueError(
+                f"kappa, alpha and beta belong to the 'unscented' transform, not to "
+                f"{self.transform!r}: leave them out."
+            )
+        if not all(map(isfinite, spread)) or not self.alpha > 0.0:
+            raise ValueError(
+                f"kappa, alpha and beta must be finite and alpha positive, got {spread}."
+            )
+
+
+def _check_choice(what: str, value: str, choices: tuple[str, ...]) -> None:
+    if value not in choices:
+        raise ValueError(f"{what} must be one of {', '.join(choices)}; got {value!r}.")
+
+
+def _family(prefix: str, transform: str, form: str, updates: tuple[str, ...]) -> dict:
+    return {f"{prefix}-{update}": FilterDesign(transform, form, update) for update in updates}
+
+
+_SIGMA_POINT = ("classical", "unsymmetrised", "joseph", "joseph-prior", "joseph-exact")
+
+DESIGNS: dict[str, FilterDesign] = {
+    "lkf": FilterDesign("extended", "covariance", "classical"),
+    **_family("ekf", "extended", "covariance", ("classical", "unsymmetrised", "khp")),
+    # The extended filter's own H is the one at the prediction.
+    "ekf-joseph": FilterDesign("extended", "covariance", "joseph-prior"),
+    **_family("ukf", "unscented", "covariance", _SIGMA_POINT),
+    **_family("ckf", "cubature", "covariance", _SIGMA_POINT),
+    **_family("srukf", "unscented", "square-root", SQUARE_ROOT_UPDATES),
+    **_family("srckf", "cubature", "square-root", SQUARE_ROOT_UPDATES),
+}
+
+
+def find_design(design: FilterDesign | str, kappa: float | None = None) -> FilterDesign:
+    """The design of that name (a design is returned as it is), with another kappa if given.
+
+    Raises:
+        ValueError: if no design has that name, or it takes no kappa.
+    """
+    if isinstance(design, str):
+        if design not in DESIGNS:
+            close = get_close_matches(design, DESIGNS, n=3, cutoff=0.5)
+            hint = f"did you mean {' or '.join(close)}?" if close else f"try {', '.join(DESIGNS)}."
+            raise ValueError(f"There is no filter design {design!r}: {hint}")
+        design = DESIGNS[design]
+    return design if kappa is None else replace(design, kappa=float(kappa))

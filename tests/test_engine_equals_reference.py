@@ -1,0 +1,113 @@
+"""The fused engine and the reference filter are the same filter, to 1e-9 over hundreds of steps."""
+
+import pickle
+
+import numpy as np
+import pytest
+from pairs import PAIRS, Case, radar_case, wrap
+
+from kfenv.filters.engine import Engine
+from kfenv.filters.reference import ReferenceFilter
+from kfenv.filters.results import Prediction
+from kfenv.models.radar import radar
+from kfenv.models.variable_turn import variable_turn
+
+TOLERANCE = 1e-9
+# Each choice costs seconds of compilation; the spread of the points does not know the models.
+CHOICES = [
+    ("variable turn, radar", 1.0),
+    ("variable turn, radar", 0.0),
+    ("constant acceleration, radar", 1.0),
+    ("robot, beacon", 3.0),
+]
+
+
+def step_through(tier, case: Case):
+    """Yield (innovation only, update) of every time of a recording."""
+    batch = len(case.mean)
+    status = np.zeros(batch, np.int64)
+    mean, factor = case.mean, case.factor
+    prediction = None
+    for t in range(len(case.time)):
+        if t == 0:
+            prediction = Prediction(mean, factor, np.zeros_like(factor))
+        else:
+            dt = np.full(batch, case.time[t] - case.time[t - 1])
+            prediction = tier.predict(mean, factor, case.u[:, t], dt, status)
+        seen = (case.s[:, t], case.z[:, t], case.sd[:, t], status)
+        looked = tier.innovate(prediction, case.fading, case.process_scale, *seen)
+        updated = tier.update(prediction, case.fading, case.process_scale, *seen)
+        mean, factor = updated.mean, updated.factor
+        assert not status.any()
+        yield looked, updated
+
+
+def assert_same_update(a, b, angles):
+    """Means and factors within TOLERANCE of each state's deviation, the rest of its size."""
+    deviation = np.sqrt(np.sum(b.factor**2, axis=2))
+    difference = a.mean - b.mean
+    difference[:, angles] = wrap(difference[:, angles])
+    assert np.max(np.abs(difference) / deviation) < TOLERANCE
+    assert np.max(np.abs(a.factor - b.factor) / deviation[:, :, None]) < TOLERANCE
+    sd = np.sqrt(b.variance)
+    for x, y, scale in (
+        (a.innovation, b.innovation, sd), (a.variance, b.variance, b.variance),
+        (a.whitened, b.whitened, 1.0), (a.nis, b.nis, 1.0 + np.abs(b.nis)),
+        (a.log_likelihood, b.log_likelihood, 1.0 + np.abs(b.log_likelihood)),
+    ):  # fmt: skip
+        np.testing.assert_array_equal(np.isnan(x), np.isnan(y))
+        assert np.nanmax(np.abs(x - y) / scale, initial=0.0) < TOLERANCE
+
+
+@pytest.mark.parametrize(("name", "kappa"), CHOICES)
+def test_every_step(name, kappa):
+    motion, sensor, make_case = PAIRS[name]
+    case = make_case()
+    angles = [i for i, state in enumerate(motion.states) if state.angle]
+    engine = step_through(Engine(motion, sensor, kappa), case)
+    reference = step_through(ReferenceFilter(motion, sensor, "srukf-joseph-exact", kappa), case)
+    for (looked, updated), (looked_too, updated_too) in zip(engine, reference, strict=True):
+        assert_same_update(looked, looked_too, angles)
+        assert_same_update(updated, updated_too, angles)
+
+
+@pytest.mark.parametrize(("name", "kappa"), [CHOICES[0], CHOICES[3]])
+def test_whole_runs(name, kappa):
+    motion, sensor, make_case = PAIRS[name]
+    case = make_case()
+    fast = Engine(motion, sensor, kappa).run(*case)
+    plain = ReferenceFilter(motion, sensor, kappa=kappa).history(*case)
+    assert not fast.status.any() and not plain.status.any()
+    deviation = np.sqrt(np.diagonal(plain.covariance, axis1=2, axis2=3))
+    difference = fast.mean - plain.mean
+    for i, state in enumerate(motion.states):
+        if state.angle:
+            difference[..., i] = wrap(difference[..., i])
+    assert np.max(np.abs(difference) / deviation) < TOLERANCE
+    np.testing.assert_allclose(fast.nis, plain.nis, rtol=TOLERANCE, atol=TOLERANCE)
+
+
+def test_run_is_the_steps_one_by_one():
+    motion, sensor, make_case = PAIRS["variable turn, radar"]
+    case = make_case()
+    for tier in (Engine(motion, sensor), ReferenceFilter(motion, sensor)):
+        run = tier.run(*case)
+        for t, (_, updated) in enumerate(step_through(tier, case)):
+            np.testing.assert_allclose(run.mean[:, t], updated.mean, rtol=1e-11, atol=1e-9)
+
+
+@pytest.mark.parametrize("tier", [Engine, ReferenceFilter])
+def test_a_filter_has_the_same_bits_alone_and_in_a_batch(tier):
+    case = radar_case(batch=5)
+    together = tier(variable_turn(), radar()).run(*case)
+    for b in range(5):
+        alone = tier(variable_turn(), radar()).run(*case.only([b]))
+        np.testing.assert_array_equal(alone.mean[0], together.mean[b])
+        np.testing.assert_array_equal(alone.nis[0], together.nis[b])
+
+
+def test_a_reference_filter_pickles():
+    case = radar_case(batch=2, steps=20)
+    tier = ReferenceFilter(variable_turn(), radar(), "srukf-joseph", kappa=2.0)
+    again = pickle.loads(pickle.dumps(tier))
+    np.testing.assert_array_equal(again.run(*case).mean, tier.run(*case).mean)
