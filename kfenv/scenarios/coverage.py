@@ -37,27 +37,34 @@ class Placement(NamedTuple):
     shift: Array
 
 
-def in_coverage(position: Array, range_margin: float = 0.0, angle_margin: float = 0.0) -> NDArray:
+def in_coverage(
+    east: Array,
+    north: Array,
+    up: Array,
+    range_margin: float = 0.0,
+    angle_margin: float = 0.0,
+) -> NDArray[np.bool_]:
     """Say which positions the radar at the origin sees.
 
     Args:
-        position: east, north and up along the first axis, (3, ...), m.
+        east, north, up: coordinates, which broadcast against each other, m.
         range_margin: how far inside the range limits to stay, m.
         angle_margin: how far inside the azimuth and elevation limits to stay, rad.
 
     Returns:
-        Booleans (...).
+        Booleans of the common shape.
     """
-    x, y, z = position
-    ground_squared = x * x + y * y
-    range_squared = ground_squared + z * z
+    ground_squared = east * east + north * north
+    height_squared = up * up
+    range_squared = ground_squared + height_squared
     # Tangents instead of angles: no inverse function per sample.
-    steepest = np.tan(np.where(z > 0.0, MAX_ELEVATION, -MIN_ELEVATION) - angle_margin)
+    widest = np.tan(MAX_AZIMUTH - angle_margin)
+    steepest = np.tan(np.where(up > 0.0, MAX_ELEVATION, -MIN_ELEVATION) - angle_margin)
     return (
         (range_squared >= (MIN_RANGE + range_margin) ** 2)
         & (range_squared <= (MAX_RANGE - range_margin) ** 2)
-        & (np.abs(x) <= np.tan(MAX_AZIMUTH - angle_margin) * y)
-        & (z * z <= steepest**2 * ground_squared)
+        & (np.abs(east) <= widest * north)
+        & (height_squared <= steepest**2 * ground_squared)
     )
 
 
@@ -67,7 +74,7 @@ def place(
     """Turn and shift a path at random so that all of it lies in coverage.
 
     Args:
-        rng: source of the angle, and of the range and bearing where the anchor goes.
+        rng: source of the angle, and of the distance and bearing where the anchor goes.
         path: (3, N) points about a second apart, m.
         anchor: (2,) the point, east and north, that goes to the drawn place, m.
         ground_range: least and greatest horizontal distance of the anchor, m.
@@ -79,21 +86,29 @@ def place(
     angle = rng.uniform(0.0, 2.0 * np.pi, CANDIDATES)
     distance = rng.uniform(*ground_range, CANDIDATES)
     bearing = rng.uniform(-MAX_AZIMUTH, MAX_AZIMUTH, CANDIDATES)
-    goal = distance * np.array([np.sin(bearing), np.cos(bearing)])
-    shift = goal - turn(anchor, angle)
-    x, y = turn(path[:2, None, :], angle[:, None]) + shift[:, :, None]
-    inside = in_coverage(
-        np.stack([x, y, np.broadcast_to(path[2], x.shape)]), RANGE_MARGIN, ANGLE_MARGIN
-    ).all(axis=1)
-    best = int(np.argmax(inside))
-    return Placement(float(angle[best]), shift[:, best]) if inside[best] else None
+    goal = np.array([distance * np.sin(bearing), distance * np.cos(bearing)]).T
+    placed = turn(path[:2] - anchor[:, None], angle) + goal[:, :, None]
+    inside = in_coverage(placed[:, 0], placed[:, 1], path[2], RANGE_MARGIN, ANGLE_MARGIN)
+    first = int(np.argmax(inside.all(axis=1)))
+    if not inside[first].all():
+        return None
+    shift = goal[first] - turn(anchor[:, None], angle[first])[:, 0]
+    return Placement(float(angle[first]), shift)
 
 
-def turn(vector: Array, angle: Array | float) -> Array:
-    """Turn horizontal vectors (2, ...), east and north, clockwise by the angle in rad."""
+def turn(vectors: Array, angle: Array | float) -> Array:
+    """Turn horizontal vectors (..., 2, N), east and north, clockwise.
+
+    Args:
+        vectors: of any unit.
+        angle: one, or (M,) of which each turns the N vectors, rad.
+
+    Returns:
+        The turned vectors (..., 2, N), or (M, 2, N).
+    """
     sine, cosine = np.sin(angle), np.cos(angle)
-    east, north = vector
-    return np.stack([cosine * east + sine * north, cosine * north - sine * east])
+    rotation = np.array([[cosine, sine], [-sine, cosine]])
+    return np.moveaxis(rotation, (0, 1), (-2, -1)) @ vectors
 
 
 def check_time(time: object) -> Array:

@@ -11,14 +11,23 @@ the times asked for.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil
+from functools import cached_property
+from math import ceil, floor
 from typing import Literal
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
-from kfenv.scenarios.coverage import CHECK_STEP, MAX_RANGE, MIN_RANGE, check_time, place, turn
+from kfenv.scenarios.coverage import (
+    CHECK_STEP,
+    MAX_RANGE,
+    MIN_RANGE,
+    Placement,
+    check_time,
+    place,
+    turn,
+)
 
 Array = NDArray[np.float64]
 
@@ -47,7 +56,7 @@ TURNING, CLIMBING, ACCELERATING = 0.6, 0.5, 0.6  # shares of the legs
 MAX_DURATION = 600.0  # s; a longer flight hardly ever stays in coverage
 MAX_ATTEMPTS = 1_000
 
-INNER_STEP = 0.25  # s; position is then good to 0.1 mm
+INNER_STEP = 0.25  # s; position is then good to 1 mm
 
 
 def paper_trajectory(name: Literal["A", "B"], time: ArrayLike) -> Array:
@@ -117,9 +126,12 @@ def random_trajectory(rng: Generator, time: ArrayLike) -> Array:
         nodes = _fly(flight, duration)
         start = _random_start(rng, nodes)
         if start is not None:
-            angle, position = start
-            turned = Flight(flight.turns, flight.climbs_and_speeds, flight.heading + angle)
-            return _states(turned, nodes.turned(angle), position, elapsed)
+            placement, height = start
+            turned = Flight(
+                flight.turns, flight.climbs_and_speeds, flight.heading + placement.angle
+            )
+            nodes[:, :2] = turn(nodes[:, :2], placement.angle)
+            return _states(turned, nodes, np.append(placement.shift, height), elapsed)
     raise RuntimeError(
         f"no random flight of {duration:g} s stayed in coverage; ask for a shorter one."
     )
@@ -141,26 +153,30 @@ class Commands:
 
     def evaluate(self, time: Array) -> tuple[Array, Array, Array]:
         """Return integral (from the first edge on), value and slope, each (C, T)."""
-        jump = np.diff(self.level)
-        held = self.level[:, 1:-1] * np.diff(self.begin)
-        missed = 0.5 * (jump * self.edge)[:, :-1]  # by rising late, along each edge
-        integral = np.zeros_like(jump)
-        np.cumsum(held - missed, axis=1, out=integral[:, 1:])
-
         # Before the first edge its phase stays 0, which leaves the first level.
-        k = np.maximum(np.searchsorted(self.begin, time, side="right") - 1, 0)
-        since = time - self.begin[k]
-        edge = self.edge[k]
+        leg = np.maximum(np.searchsorted(self.begin, time, side="right") - 1, 0)
+        begin, edge, *legs = self._legs.take(leg, axis=1)
+        integral, before, jump = np.reshape(legs, (3, -1, time.size))
+        since = time - begin
         phase = np.pi * np.clip(since / edge, 0.0, 1.0)
         sine = np.sin(phase)
-        before, jump = self.level[:, k], jump[:, k]
-        risen = 0.5 * (1.0 - np.cos(phase))
+        risen = 0.5 - 0.5 * np.cos(phase)
         area = np.maximum(since - edge, 0.0) + (0.5 / np.pi) * edge * (phase - sine)
         return (
-            integral[:, k] + before * since + jump * area,
+            integral + before * since + jump * area,
             before + jump * risen,
             jump * (0.5 * np.pi * sine / edge),
         )
+
+    @cached_property
+    def _legs(self) -> Array:
+        """Begin and edge; then, per command, integral and value at begin, and jump: (2+3C, K)."""
+        before, jump = self.level[:, :-1], np.diff(self.level)
+        missed = 0.5 * jump * self.edge  # by rising along the edge instead of at its begin
+        gained = self.level[:, 1:-1] * np.diff(self.begin) - missed[:, :-1]
+        integral = np.zeros_like(before)
+        np.cumsum(gained, axis=1, out=integral[:, 1:])
+        return np.vstack([self.begin, self.edge, integral, before, jump])
 
 
 @dataclass(frozen=True)
@@ -177,81 +193,53 @@ class Flight:
     climbs_and_speeds: Commands
     heading: float
 
-    def motion(self, time: Array) -> tuple[Array, Array]:
-        """Return velocity and acceleration, each (3, T), in m/s and m/s^2."""
+    def motion(self, time: Array) -> Array:
+        """Return velocity and acceleration along the axes, (2, 3, T), in m/s and m/s^2."""
         (heading,), (turn_rate,), _ = self.turns.evaluate(time)
         _, (climb, speed), (climb_slope, speed_slope) = self.climbs_and_speeds.evaluate(time)
-        sine, cosine = np.sin(self.heading + heading), np.cos(self.heading + heading)
+        heading = heading + self.heading
+        sine, cosine = np.sin(heading), np.cos(heading)
         ground = np.sqrt(speed * speed - climb * climb)
-        ground_slope = (speed * speed_slope - climb * climb_slope) / ground
+        along = (speed * speed_slope - climb * climb_slope) / ground
         across = ground * turn_rate
-        velocity = np.stack([ground * sine, ground * cosine, climb])
-        acceleration = np.stack(
-            [
-                ground_slope * sine + across * cosine,
-                ground_slope * cosine - across * sine,
-                climb_slope,
-            ]
-        )
-        return velocity, acceleration
+        motion = np.empty((2, 3, time.size))
+        motion[0] = ground * sine, ground * cosine, climb
+        motion[1] = along * sine + across * cosine, along * cosine - across * sine, climb_slope
+        return motion
 
 
-@dataclass(frozen=True)
-class Nodes:
-    """A flight on the inner grid 0, 0.25, 0.5, ... s; each (3, N), position from zero."""
+def _fly(flight: Flight, duration: float) -> Array:
+    """Return the nodes: position from zero, velocity and acceleration at 0, 0.25, ... s.
 
-    position: Array
-    velocity: Array
-    acceleration: Array
-
-    def turned(self, angle: float) -> Nodes:
-        """Return the nodes of the flight turned clockwise by the angle in rad."""
-        return Nodes(
-            *(
-                np.vstack([turn(vector[:2], angle), vector[2:]])
-                for vector in (self.position, self.velocity, self.acceleration)
-            )
-        )
-
-
-def _fly(flight: Flight, duration: float) -> Nodes:
-    """Integrate a flight from 0 s to the duration or just beyond."""
-    time = INNER_STEP * np.arange(ceil(duration / INNER_STEP) + 1)
-    velocity, acceleration = flight.motion(time)
-    position = np.zeros_like(velocity)
-    steps = _travelled(
-        INNER_STEP, velocity[:, :-1], velocity[:, 1:], acceleration[:, :-1], acceleration[:, 1:]
+    Returns:
+        (3, 3, N): quantity, axis, node; the last at the duration or just beyond.
+    """
+    time = INNER_STEP * np.arange(floor(duration / INNER_STEP) + 2)
+    nodes = np.zeros((3, 3, time.size))
+    nodes[1:] = flight.motion(time)
+    np.cumsum(
+        _travelled(INNER_STEP, nodes[1:, :, :-1], nodes[1:, :, 1:]), axis=1, out=nodes[0, :, 1:]
     )
-    np.cumsum(steps, axis=1, out=position[:, 1:])
-    return Nodes(position, velocity, acceleration)
+    return nodes
 
 
-def _travelled(step, velocity, next_velocity, acceleration, next_acceleration):
-    """Integrate velocity over a step: the trapezoid with its end correction, order 4."""
-    return step * (
-        0.5 * (velocity + next_velocity) + step / 12.0 * (acceleration - next_acceleration)
-    )
+def _travelled(step: Array | float, before: Array, after: Array) -> Array:
+    """Integrate velocity over a step from its ends' velocity and acceleration (2, 3, ...).
+
+    The trapezoid with its end correction, of fourth order.
+    """
+    return step * (0.5 * (before[0] + after[0]) + step / 12.0 * (before[1] - after[1]))
 
 
-def _states(flight: Flight, nodes: Nodes, start: Array, time: Array) -> Array:
+def _states(flight: Flight, nodes: Array, start: Array, time: Array) -> Array:
     """Return the states (T, 9) at the times, in seconds from the first node."""
     k = (time / INNER_STEP).astype(int)
-    velocity, acceleration = flight.motion(time)
-    states = np.empty((time.size, 9))
-    states[:, 0::3] = (
-        start[:, None]
-        + nodes.position[:, k]
-        + _travelled(
-            time - INNER_STEP * k,
-            nodes.velocity[:, k],
-            velocity,
-            nodes.acceleration[:, k],
-            acceleration,
-        )
-    ).T
-    states[:, 1::3] = velocity.T
-    states[:, 2::3] = acceleration.T
-    return states
+    motion = flight.motion(time)
+    node = nodes.take(k, axis=2)
+    states = np.empty((3, 3, time.size))
+    states[0] = node[0] + _travelled(time - INNER_STEP * k, node[1:], motion) + start[:, None]
+    states[1:] = motion
+    return states.transpose(2, 1, 0).reshape(time.size, 9)
 
 
 def _windows(
@@ -298,17 +286,15 @@ def _folded(values: Array, most: float) -> Array:
     return most - np.abs(values % (2.0 * most) - most)
 
 
-def _random_start(rng: Generator, nodes: Nodes) -> tuple[float, Array] | None:
-    """Draw the turn and the first position that keep a flight in coverage, if there are any."""
+def _random_start(rng: Generator, nodes: Array) -> tuple[Placement, float] | None:
+    """Draw the placement and first height that keep a flight in coverage, if there are any."""
     every = round(CHECK_STEP / INNER_STEP)
-    path = np.hstack([nodes.position[:, ::every], nodes.position[:, -1:]])
+    path = np.hstack([nodes[0, :, ::every], nodes[0, :, -1:]])
     low, high = path.min(axis=1), path.max(axis=1)
-    room = (MAX_ALTITUDE - high[2]) - (MIN_ALTITUDE - low[2])
-    if room < 0.0:
+    least, most = MIN_ALTITUDE - low[2], MAX_ALTITUDE - high[2]
+    if most < least:
         return None
-    height = MIN_ALTITUDE - low[2] + room * rng.random()
+    height = rng.uniform(least, most)
     path[2] += height
     placement = place(rng, path, 0.5 * (low + high)[:2], (MIN_RANGE, MAX_RANGE))
-    if placement is None:
-        return None
-    return placement.angle, np.append(placement.shift, height)
+    return None if placement is None else (placement, height)
