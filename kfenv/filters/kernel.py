@@ -157,6 +157,8 @@ def _innovate_one(
             continue
         row = c * W
         centre = Z[row]
+        for j in range(2 * N + 1, width):
+            Z[row + j] = centre  # padding, or what a former filter left there would count
         offset = 0.0
         for j in range(width):
             deviation = Z[row + j] - centre
@@ -208,6 +210,8 @@ def _correct_one(mean, factor, count, present, innovation, A, U, Re, C, K, new_m
     """
     for r in range(count):
         row = r * W
+        for i in range(N, width):
+            K[row + i] = 0.0
         for i in range(N):
             value = 0.0
             for k in range(i + 1):

@@ -1,0 +1,307 @@
+"""The decision process of DESIGN section 5 for a batch of filters in lock-step.
+
+The single and the vector environment are thin shells over `Core`, so both give the
+same bits. The agent sees the innovation of the pending measurement before it decides.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kfenv.envs import statistics
+from kfenv.envs.knobs import choose_knobs, knobs_of
+from kfenv.envs.options import ENGINE, Options, check_recording
+from kfenv.filters.engine import Engine
+from kfenv.filters.results import Prediction, Update
+from kfenv.scenarios.recording import Recording
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# A step's worst reward: RMSE in error scales; log of an error ratio.
+REWARD_CAP = {"rmse": 10.0, "improvement": 3.0}
+IDLE = -1
+
+
+class Core:
+    """B filters that replay B episodes, each at its own place in its episode.
+
+    Args:
+        scenario: gives motion, sensor and scales.
+        options: of the environment.
+        batch: B.
+        times: (T,) the instants of every episode, s.
+        has_truth: whether the episodes carry the truth.
+    """
+
+    def __init__(
+        self, scenario: Any, options: Options, batch: int, times: Array, has_truth: bool
+    ) -> None:
+        self.scenario, self.options, self.batch = scenario, options, batch
+        self.time, self.has_truth = times, has_truth
+        motion, sensor = scenario.motion, scenario.sensor
+        self.filter = make_filter(motion, sensor, options)
+        self._position = np.array(motion.position)
+        self._velocity = np.array(motion.velocity)
+        self._group = np.array(sensor.group_of_channel)
+        self._prepare_knobs(sensor.groups)
+        n, m, steps = len(motion.states), len(sensor.channels), len(times)
+        inputs = scenario.dimensions
+        self._episode = {
+            "measurement": np.full((batch, steps, m), np.nan),
+            "noise": np.ones((batch, steps, m)),
+            "motion_inputs": np.zeros((batch, steps, inputs[0])),
+            "sensor_inputs": np.zeros((batch, steps, inputs[1])),
+        }
+        if has_truth:
+            self._episode["truth"] = np.zeros((batch, steps, n))
+        self._nominal_error = np.zeros((batch, steps))
+        self._dt = np.diff(times, prepend=times[0])
+        self._prediction = Prediction(np.zeros((batch, n)), *np.zeros((2, batch, n, n)))
+        self._pending = _empty_update(batch, n, m)
+        self._update = _empty_update(batch, n, m)
+        self.index = np.zeros(batch, np.int64)
+        self.status = np.zeros(batch, np.int64)
+        self.error = np.full(batch, np.nan)
+        self.nees = np.full(batch, np.nan)
+        self._statistics = np.zeros((batch, len(sensor.groups), statistics.COLUMNS))
+        self._since = np.zeros(batch)
+        self._action = np.zeros((batch, len(self.knobs)))
+        self.factors = np.ones((batch, len(self._all_knobs)))
+        self.observation_size = (
+            len(sensor.groups) * statistics.PER_GROUP + statistics.COMMON + len(self.knobs)
+        )
+
+    def _prepare_knobs(self, groups: tuple[str, ...]) -> None:
+        self._all_knobs = knobs_of(groups)
+        self.knobs = choose_knobs(self.options.actions, groups)
+        self.knob_place = np.array([self._all_knobs.index(knob) for knob in self.knobs])
+        self._log_low = np.log([knob.low for knob in self.knobs])
+        self._log_high = np.log([knob.high for knob in self.knobs])
+
+    # ----- episodes -----------------------------------------------------------------
+
+    def load(self, chosen: NDArray[np.int64], recording: Recording) -> None:
+        """Start new episodes at the chosen places, one per episode of the recording."""
+        for name, array in self._episode.items():
+            array[chosen] = getattr(recording, name)
+        if self.options.reward == "improvement" and self.has_truth:
+            self._nominal_error[chosen] = self._errors_of_nominal(recording)
+        self.index[chosen] = 0
+        self.status[chosen] = 0
+        self._prediction.mean[chosen] = recording.mean
+        self._prediction.root[chosen] = recording.factor
+        self._prediction.noise[chosen] = 0.0
+        self._update.mean[chosen] = recording.mean
+        self._update.factor[chosen] = recording.factor
+        self._update.nis[chosen] = np.nan
+        self._statistics[chosen] = 0.0
+        self._statistics[chosen, :, : len(statistics.WINDOWS)] = 1.0
+        self._since[chosen] = 0.0
+        self._action[chosen] = 0.0
+        self.factors[chosen] = 1.0
+        mask = np.zeros(self.batch, bool)
+        mask[chosen] = True
+        self._score(mask)
+        self._look(mask)
+
+    def _errors_of_nominal(self, recording: Recording) -> Array:
+        ones = np.ones(len(recording))
+        run = self.filter.run(
+            recording.mean, recording.factor, self.time, recording.motion_inputs,
+            recording.sensor_inputs, recording.measurement, recording.noise, ones, ones,
+        )  # fmt: skip
+        off = (run.mean - recording.truth)[..., self._position]
+        error = np.sqrt(off[..., 0] ** 2 + off[..., 1] ** 2 + off[..., 2] ** 2)
+        return np.where(error < self.scenario.lost_distance, error, self.scenario.lost_distance)
+
+    # ----- one decision -------------------------------------------------------------
+
+    def step(self, action: Array, running: Mask) -> tuple[Array, Mask, Mask]:
+        """Apply an action (B, K) for one decision interval to the running filters.
+
+        Returns:
+            Reward, terminated and truncated, each (B,); zero and False where not running.
+        """
+        statistics.turn_knobs(
+            action, self._log_low, self._log_high, self.knob_place, self.factors
+        )
+        self._action[running] = action[running]
+        squared, nominal, count = np.zeros((3, self.batch))
+        lost = np.zeros(self.batch, bool)
+        active = running.copy()
+        for _ in range(self.options.decision_interval):
+            self._correct(active)
+            self._score(active)
+            gone = active & ((self.status != 0) | (self.error > self.scenario.lost_distance))
+            lost |= gone
+            at = (np.arange(self.batch), self.index)
+            squared[active] += self.error[active] ** 2
+            nominal[active] += self._nominal_error[at][active] ** 2
+            count[active] += 1.0
+            active &= ~gone
+            self.index[active] += 1
+            active &= self.index < len(self.time)
+            self._predict(active)
+            self._look(active)
+            if not active.any():
+                break
+        ended = running & ~lost & (self.index >= len(self.time))
+        count = np.maximum(count, 1.0)
+        reward = self._reward(squared / count, nominal / count, lost)
+        return np.where(running, reward, 0.0), lost & running, ended
+
+    def _reward(self, squared: Array, nominal: Array, lost: Mask) -> Array:
+        """Of one decision; a lost track pays the cap for this and every remaining step."""
+        cap = REWARD_CAP[self.options.reward]
+        reward = np.zeros(self.batch)
+        if self.has_truth and self.options.reward == "improvement":
+            statistics.improvement(nominal, squared, cap, reward)
+        elif self.has_truth:
+            reward = -np.minimum(np.sqrt(squared) / self.scenario.error_scale, cap)
+        remaining = -(-(len(self.time) - self.index) // self.options.decision_interval)
+        return np.where(lost, -cap * remaining, reward)
+
+    def _gather(self, name: str) -> Array:
+        index = np.minimum(self.index, len(self.time) - 1)
+        return self._episode[name][np.arange(self.batch), index]
+
+    def _correct(self, active: Mask) -> None:
+        noise = self._gather("noise") * self.factors[:, 2 + self._group]
+        work = np.where(active, self.status, IDLE)
+        result = self.filter.update(
+            self._prediction, self.factors[:, 0].copy(), self.factors[:, 1].copy(),
+            self._gather("sensor_inputs"), self._gather("measurement"), noise, work,
+        )  # fmt: skip
+        self._update = _merge(self._update, result, active)
+        self.status[active] = work[active]
+
+    def _predict(self, active: Mask) -> None:
+        work = np.where(active, self.status, IDLE)
+        dt = self._dt[np.minimum(self.index, len(self.time) - 1)]
+        result = self.filter.predict(
+            self._update.mean, self._update.factor, self._gather("motion_inputs"), dt, work
+        )
+        self._prediction = _merge(self._prediction, result, active)
+        self.status[active] = work[active]
+
+    def _look(self, active: Mask) -> None:
+        """Form the pending innovation with nominal knobs and take it into the statistics."""
+        work = np.where(active, self.status, IDLE)
+        ones = np.ones(self.batch)
+        result = self.filter.innovate(
+            self._prediction, ones, ones, self._gather("sensor_inputs"),
+            self._gather("measurement"), self._gather("noise"), work,
+        )  # fmt: skip
+        self._pending = _merge(self._pending, result, active)
+        self.status[active] = work[active]
+        dt = self._dt[np.minimum(self.index, len(self.time) - 1)]
+        statistics.collect(
+            self._pending.whitened, self._group, self._statistics, self._since, dt, work
+        )
+
+    def _score(self, active: Mask) -> None:
+        if self.has_truth:
+            work = np.where(active, self.status, IDLE)
+            statistics.score(
+                self._update.mean, self._update.factor, self._gather("truth"), self._position,
+                work, self.error, self.nees,
+            )  # fmt: skip
+        failed = active & (self.status != 0)
+        self.error[failed] = self.scenario.lost_distance
+        self.nees[failed] = np.nan
+
+    # ----- what the agent sees ------------------------------------------------------
+
+    def observation(self) -> NDArray[np.float32]:
+        """A fresh (B, D) array; see `feature_names`."""
+        out = np.zeros((self.batch, self.observation_size))
+        pending = (self.index < len(self.time)) & (self.status == 0)
+        statistics.observe(
+            self._pending.whitened, self._pending.variance, self._gather("noise"),
+            self._pending.factor, self._position, self._velocity, self.scenario.error_scale,
+            self._group, self._statistics, self._since, pending, out,
+        )  # fmt: skip
+        out[:, -len(self.knobs) :] = self._action
+        out[self.status != 0] = 0.0
+        return out.astype(np.float32)
+
+    def information(self) -> dict[str, Any]:
+        """Fresh arrays (B, ...) for the info dictionary; nothing of them is in the observation."""
+        scored = np.minimum(np.where(self.factors_applied, self.index - 1, 0), len(self.time) - 1)
+        info: dict[str, Any] = {
+            "time": self.time[scored],
+            "estimate": self._update.mean.copy(),
+            "position_error": self.error.copy(),
+            "nis": self._update.nis.copy(),
+            "innovation": self._pending.innovation.copy(),
+            "innovation_variance": self._pending.variance.copy(),
+            "noise": self._gather("noise"),
+        }
+        if self.has_truth:
+            rows = np.arange(self.batch)
+            info["nees"] = self.nees.copy()
+            info["truth"] = self._episode["truth"][rows, scored]
+        return info
+
+    @property
+    def factors_applied(self) -> Mask:
+        """Whether an update has been made since the episode began."""
+        return self.index > 0
+
+    def feature_names(self) -> tuple[str, ...]:
+        """What each component of the observation is."""
+        names = []
+        for group in self.scenario.sensor.groups:
+            names.append(f"{group}: whitened innovation, signed log")
+            names.extend(
+                f"{group}: log RMS of whitened innovations, window {window:g}"
+                for window in statistics.WINDOWS
+            )
+            names.append(f"{group}: lag-1 correlation of whitened innovations")
+            names.append(f"{group}: share of channels that arrived")
+            names.append(f"{group}: share of the noise in the innovation variance")
+        names.append("log(1 + seconds since the last measurement)")
+        names.append("log position deviation over the error scale")
+        names.append("log velocity deviation over a tenth of the error scale per second")
+        names.extend(f"previous action: {knob.name}" for knob in self.knobs)
+        return tuple(names)
+
+
+def make_filter(motion, sensor, options: Options):
+    """The engine, or a square-root filter of the reference tier by name.
+
+    Raises:
+        ValueError: for an unknown name or one without a square-root factor.
+    """
+    if options.filter == ENGINE:
+        return Engine(motion, sensor, options.kappa)
+    from kfenv.filters.reference import ReferenceFilter
+
+    return ReferenceFilter(motion, sensor, options.filter, kappa=options.kappa)
+
+
+def check_episode(recording: Recording, scenario: Any, times: Array, has_truth: bool) -> None:
+    """Complain if a recording cannot be replayed here."""
+    check_recording(recording, scenario)
+    if not np.array_equal(recording.time, times) or (recording.truth is not None) != has_truth:
+        raise ValueError("The recording's times or truth differ from the environment's.")
+
+
+def _empty_update(batch: int, n: int, m: int) -> Update:
+    return Update(
+        np.zeros((batch, n)), np.zeros((batch, n, n)), *np.full((3, batch, m), np.nan),
+        np.full(batch, np.nan), np.zeros(batch),
+    )  # fmt: skip
+
+
+def _merge(old, new, active: Mask):
+    """The new results where active, the old ones elsewhere."""
+    if active.all():
+        return new
+    for before, after in zip(old, new, strict=True):
+        before[active] = after[active]
+    return old

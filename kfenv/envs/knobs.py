@@ -1,0 +1,80 @@
+"""Knobs: what an action turns, on a logarithmic scale whose zero is the nominal filter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kfenv.names import unknown
+
+Array = NDArray[np.float64]
+
+MEASUREMENT_NOISE = "measurement_noise"
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A positive factor set by one component a of the action in [-1, 1].
+
+    The factor is high^a for a >= 0 and low^-a for a < 0: logarithmic on either side,
+    and exactly 1 at zero.
+
+    Attributes:
+        name: ``"fading"``, ``"process_noise"`` or ``"<group>_noise"``.
+        low, high: the factors at -1 and 1, 0 < low < 1 < high.
+    """
+
+    name: str
+    low: float
+    high: float
+
+
+# Fading and process noise multiply covariances, measurement noise a standard deviation.
+FADING = Knob("fading", 0.5, 10.0)
+PROCESS_NOISE = Knob("process_noise", 1e-3, 1e4)
+NOISE_RANGE = (0.05, 500.0)
+
+
+def knobs_of(groups: Sequence[str]) -> tuple[Knob, ...]:
+    """All knobs of a filter whose sensor has these channel groups."""
+    noise = tuple(Knob(f"{group}_noise", *NOISE_RANGE) for group in groups)
+    return (FADING, PROCESS_NOISE, *noise)
+
+
+def choose_knobs(names: Sequence[str] | None, groups: Sequence[str]) -> tuple[Knob, ...]:
+    """The knobs that an environment exposes, in the order of `knobs_of`.
+
+    Args:
+        names: knob names, ``"measurement_noise"`` standing for all groups; None for all.
+
+    Raises:
+        ValueError: for an unknown name, or if none is left.
+    """
+    knobs = knobs_of(groups)
+    if names is None:
+        return knobs
+    if isinstance(names, str):
+        names = (names,)
+    known = [knob.name for knob in knobs]
+    wanted: set[str] = set()
+    for name in names:
+        if name == MEASUREMENT_NOISE:
+            wanted.update(known[2:])
+        elif name in known:
+            wanted.add(name)
+        else:
+            raise ValueError(unknown("action", name, [*known, MEASUREMENT_NOISE]))
+    if not wanted:
+        raise ValueError("actions names no knob: give at least one, or leave it out for all.")
+    return tuple(knob for knob in knobs if knob.name in wanted)
+
+
+def actions_for(factors: Array, knobs: Sequence[Knob]) -> Array:
+    """The actions (..., K) that set the given factors (..., K), clipped to the knobs' ranges."""
+    logarithm = np.log(factors)
+    high = np.log([knob.high for knob in knobs])
+    low = np.log([knob.low for knob in knobs])
+    return np.clip(np.where(logarithm >= 0.0, logarithm / high, -logarithm / low), -1.0, 1.0)

@@ -1,0 +1,76 @@
+"""Keyword arguments of the environments, checked at the door."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+from kfenv.names import unknown
+from kfenv.scenarios.recording import Recording
+
+REWARDS = ("rmse", "improvement")
+ENGINE = "srukf-joseph-exact"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What an environment does with its episodes; see the environments' pages."""
+
+    reward: str = "rmse"
+    actions: Sequence[str] | None = None
+    recording: Recording | None = None
+    decision_interval: int = 1
+    filter: str = ENGINE
+    kappa: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.reward not in REWARDS:
+            raise ValueError(unknown("reward", self.reward, REWARDS))
+        interval = self.decision_interval
+        if isinstance(interval, bool) or not isinstance(interval, int) or interval < 1:
+            raise ValueError(
+                f"decision_interval must be a whole number of filter steps, 1 or more, "
+                f"got {interval!r}."
+            )
+        if self.recording is not None and not isinstance(self.recording, Recording):
+            raise ValueError(
+                f"recording must be a kfenv Recording, got {type(self.recording).__name__}."
+            )
+
+
+def split_keywords(scenario_class: type, keywords: dict[str, Any]) -> tuple[Any, Options]:
+    """Build the scenario and the options that keyword arguments describe.
+
+    Raises:
+        TypeError: for a keyword that neither knows.
+        ValueError: for a value that one of them refuses.
+    """
+    of_scenario = [item.name for item in fields(scenario_class)]
+    of_options = [item.name for item in fields(Options)]
+    for name in keywords:
+        if name not in of_scenario and name not in of_options:
+            raise TypeError(unknown("keyword argument", name, of_scenario + of_options))
+    options = Options(**{k: v for k, v in keywords.items() if k in of_options})
+    scenario = scenario_class(**{k: v for k, v in keywords.items() if k in of_scenario})
+    return scenario, options
+
+
+def check_recording(recording: Recording, scenario: Any) -> None:
+    """Complain if a recording does not fit the scenario's motion and sensor.
+
+    Raises:
+        ValueError: naming the dimension that differs.
+    """
+    inputs = scenario.dimensions
+    pairs = (
+        ("states", recording.mean.shape[1], len(scenario.motion.states)),
+        ("channels", recording.measurement.shape[2], len(scenario.sensor.channels)),
+        ("motion inputs", recording.motion_inputs.shape[2], inputs[0]),
+        ("sensor inputs", recording.sensor_inputs.shape[2], inputs[1]),
+    )
+    for what, have, want in pairs:
+        if have != want:
+            raise ValueError(
+                f"The recording has {have} {what}, but {scenario.name} works with {want}."
+            )

@@ -1,0 +1,150 @@
+"""Compiled arithmetic of the decision process: knobs, scores, observations, rewards.
+
+One filter after the other in plain loops, so that a filter alone and inside a batch
+gets the same bits.
+"""
+
+from __future__ import annotations
+
+from math import exp, isnan, log, nan, sqrt
+
+import numpy as np
+from numba import njit
+
+# Exponential windows of the squared innovations, in arrivals; the last one also
+# serves the correlation.
+WINDOWS = (3.0, 10.0, 30.0)
+PER_GROUP = 7  # features of a channel group
+COMMON = 3  # time since the last arrival, position and velocity deviation
+# Columns of the statistics of a group: a mean square per window, lag product, last value
+LAG, LAST, COLUMNS = len(WINDOWS), len(WINDOWS) + 1, len(WINDOWS) + 2
+BOUND = 10.0  # of every feature
+
+
+@njit(cache=True)
+def turn_knobs(action, log_low, log_high, position, factors):
+    """Write the factors of the exposed knobs; `position` is each one's place in `factors`."""
+    for b in range(action.shape[0]):
+        for k in range(action.shape[1]):
+            a = action[b, k]
+            factors[b, position[k]] = exp(a * log_high[k]) if a >= 0.0 else exp(-a * log_low[k])
+
+
+@njit(cache=True)
+def score(mean, factor, truth, position, status, error, nees):
+    """Position error and position NEES (3 degrees of freedom) of each running filter."""
+    P, L, e = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
+    for b in range(mean.shape[0]):
+        if status[b] != 0:
+            continue
+        squared = 0.0
+        for i in range(3):
+            e[i] = mean[b, position[i]] - truth[b, position[i]]
+            squared += e[i] * e[i]
+            for j in range(i + 1):
+                value = 0.0
+                for k in range(position[j] + 1):
+                    value += factor[b, position[i], k] * factor[b, position[j], k]
+                P[i, j] = value
+        error[b] = sqrt(squared)
+        nees[b] = 0.0
+        for i in range(3):
+            residual = e[i]
+            for j in range(i + 1):
+                value = P[i, j]
+                for k in range(j):
+                    value -= L[i, k] * L[j, k]
+                L[i, j] = sqrt(value) if i == j else value / L[j, j]
+                if j < i:
+                    residual -= L[i, j] * e[j]
+            e[i] = residual / L[i, i]
+            nees[b] += e[i] * e[i]
+
+
+@njit(cache=True)
+def collect(whitened, group_of_channel, statistics, since, dt, status):
+    """Take a pending innovation into the running statistics of each running filter."""
+    groups = statistics.shape[1]
+    for b in range(whitened.shape[0]):
+        if status[b] != 0:
+            continue
+        arrived = False
+        for g in range(groups):
+            total, squared, count = 0.0, 0.0, 0
+            for c in range(whitened.shape[1]):
+                if group_of_channel[c] == g and not isnan(whitened[b, c]):
+                    total += whitened[b, c]
+                    squared += whitened[b, c] ** 2
+                    count += 1
+            if count == 0:
+                continue
+            arrived = True
+            value = total / sqrt(count)
+            row = statistics[b, g]
+            for w in range(len(WINDOWS)):
+                row[w] += (squared / count - row[w]) / WINDOWS[w]
+            row[LAG] += (value * row[LAST] - row[LAG]) / WINDOWS[-1]
+            row[LAST] = value
+        since[b] = 0.0 if arrived else since[b] + dt[b]
+
+
+@njit(cache=True)
+def observe(
+    whitened, variance, sd, factor, position, velocity, error_scale, group_of_channel,
+    statistics, since, pending, out,
+):  # fmt: skip
+    """Write each filter's observation, all but the previous action.
+
+    Where nothing is pending (an episode's end) the group features of the present are zero.
+    """
+    groups = statistics.shape[1]
+    for b in range(whitened.shape[0]):
+        for g in range(groups):
+            total, share, count, channels = 0.0, 0.0, 0, 0
+            for c in range(whitened.shape[1]):
+                if group_of_channel[c] != g:
+                    continue
+                channels += 1
+                if pending[b] and not isnan(whitened[b, c]):
+                    total += whitened[b, c]
+                    share += sd[b, c] ** 2 / variance[b, c]
+                    count += 1
+            at = g * PER_GROUP
+            row = statistics[b, g]
+            out[b, at] = _signed_log(total / sqrt(count)) if count > 0 else 0.0
+            for w in range(len(WINDOWS)):
+                out[b, at + 1 + w] = _bounded(0.5 * log(row[w] + 1e-4))
+            out[b, at + 4] = max(-1.0, min(1.0, row[LAG] / (row[len(WINDOWS) - 1] + 1e-4)))
+            out[b, at + 5] = count / channels
+            out[b, at + 6] = share / count if count > 0 else 0.0
+        at = groups * PER_GROUP
+        out[b, at] = _bounded(log(1.0 + since[b]))
+        out[b, at + 1] = _bounded(log(_deviation(factor[b], position) / error_scale))
+        out[b, at + 2] = _bounded(log(_deviation(factor[b], velocity) / (0.1 * error_scale)))
+
+
+@njit(cache=True)
+def improvement(nominal_squared, squared, cap, reward):
+    """Log of the nominal filter's RMS error over this one's, capped."""
+    for b in range(reward.shape[0]):
+        ratio = 0.5 * log((nominal_squared[b] + 1e-6) / (squared[b] + 1e-6))
+        reward[b] = max(-cap, min(cap, ratio))
+
+
+@njit
+def _signed_log(value):
+    return _bounded(log(1.0 + value) if value >= 0.0 else -log(1.0 - value))
+
+
+@njit
+def _bounded(value):
+    return max(-BOUND, min(BOUND, value)) if not isnan(value) else nan
+
+
+@njit
+def _deviation(factor, rows):
+    total = 0.0
+    for i in range(rows.shape[0]):
+        for k in range(rows[i] + 1):
+            total += factor[rows[i], k] ** 2
+    return sqrt(total)

@@ -1,0 +1,243 @@
+"""Faults: small objects that spoil an episode before its measurements are drawn.
+
+A fault is anything with a ``label`` and a method ``apply(draft, rng)`` that changes
+the `Draft`. Those here serve every scenario; a range (low, high) is drawn from anew
+in each episode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import ClassVar, Protocol
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from kfenv.names import unknown
+from kfenv.scenarios.recording import FaultInterval
+
+Array = NDArray[np.float64]
+Range = tuple[float, float]
+
+
+@dataclass
+class Draft:
+    """An episode of T instants and m channels before its measurements are drawn.
+
+    Attributes:
+        time: (T,) s.
+        noise_factor: (T, m) multiplies the noise that is drawn.
+        told_factor: (T, m) multiplies the noise that the filter is told.
+        available: (T, m) whether the channel arrives.
+        intervals: what happened when.
+    """
+
+    time: Array
+    noise_factor: Array
+    told_factor: Array
+    available: NDArray[np.bool_]
+    intervals: list[FaultInterval] = field(default_factory=list)
+
+    @classmethod
+    def clean(cls, time: Array, channels: int, **more: object) -> Draft:
+        """An episode without faults."""
+        shape = (len(time), channels)
+        return cls(time, np.ones(shape), np.ones(shape), np.ones(shape, bool), **more)
+
+    def window(self, label: str, start: float, duration: float) -> slice:
+        """Label the interval and return its time indices."""
+        stop = start + duration
+        self.intervals.append(FaultInterval(label, float(start), float(stop)))
+        return slice(*np.searchsorted(self.time, (start, stop)))
+
+    def throughout(self, label: str) -> None:
+        """Label the whole episode."""
+        self.intervals.append(FaultInterval(label, float(self.time[0]), float(self.time[-1])))
+
+
+class Fault(Protocol):
+    """What a scenario asks of a fault."""
+
+    label: str
+
+    def apply(self, draft: Draft, rng: Generator) -> None:
+        """Change the draft; every random choice comes from `rng`."""
+
+
+@dataclass(frozen=True)
+class Jamming:
+    """Bursts that raise the noise of all channels, unknown to the filter.
+
+    Attributes:
+        bursts: least and greatest number of bursts.
+        duration: range of a burst's length, s.
+        factor: range of the noise's multiplier, drawn log-uniformly.
+        start: time of the (first) burst, s; None draws each at random.
+    """
+
+    label: ClassVar[str] = "jamming"
+    bursts: tuple[int, int] = (1, 3)
+    duration: Range = (5.0, 25.0)
+    factor: Range = (2.0, 31.0)
+    start: float | None = None
+
+    def __post_init__(self) -> None:
+        _check_range(self, "bursts", lowest=0)
+        _check_range(self, "duration")
+        _check_range(self, "factor")
+
+    def apply(self, draft: Draft, rng: Generator) -> None:
+        for _ in range(rng.integers(self.bursts[0], self.bursts[1], endpoint=True)):
+            duration = rng.uniform(*self.duration)
+            factor = _log_uniform(rng, self.factor)
+            start = _draw_start(self.start, duration, draft, rng)
+            draft.noise_factor[draft.window(self.label, start, duration)] *= factor
+
+
+@dataclass(frozen=True)
+class SignalLoss:
+    """A gap in which nothing arrives.
+
+    Attributes:
+        duration: range of its length, s.
+        start: when it begins, s; None draws it at random.
+    """
+
+    label: ClassVar[str] = "signal loss"
+    duration: Range = (2.0, 8.0)
+    start: float | None = None
+
+    def __post_init__(self) -> None:
+        _check_range(self, "duration")
+
+    def apply(self, draft: Draft, rng: Generator) -> None:
+        duration = rng.uniform(*self.duration)
+        start = _draw_start(self.start, duration, draft, rng)
+        draft.available[draft.window(self.label, start, duration)] = False
+
+
+@dataclass(frozen=True)
+class Glint:
+    """Outliers: single measurements whose noise is a multiple of the usual.
+
+    Attributes:
+        probability: of an episode having them at all.
+        fraction: of the measurements hit, each as a whole.
+        factor: the multiple.
+    """
+
+    label: ClassVar[str] = "glint"
+    probability: float = 0.5
+    fraction: float = 0.1
+    factor: float = 8.0
+
+    def __post_init__(self) -> None:
+        for name in ("probability", "fraction"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"Glint.{name} must lie in [0, 1], got {getattr(self, name)!r}.")
+        if not 0.0 < self.factor < float("inf"):
+            raise ValueError(f"Glint.factor must be positive, got {self.factor!r}.")
+
+    def apply(self, draft: Draft, rng: Generator) -> None:
+        present = rng.random() < self.probability
+        hit = rng.random(len(draft.time)) < self.fraction
+        if present:
+            draft.noise_factor[hit] *= self.factor
+            draft.throughout(self.label)
+
+
+@dataclass(frozen=True)
+class NoiseMisreport:
+    """A sensor that tells the filter a wrong noise level, each channel its own.
+
+    Attributes:
+        factor: range of told over actual standard deviation, drawn log-uniformly.
+    """
+
+    label: ClassVar[str] = "misreported noise"
+    factor: Range = (0.4, 2.5)
+
+    def __post_init__(self) -> None:
+        _check_range(self, "factor")
+
+    def apply(self, draft: Draft, rng: Generator) -> None:
+        low, high = np.log(self.factor)
+        draft.told_factor *= np.exp(rng.uniform(low, high, draft.told_factor.shape[1]))
+        draft.throughout(self.label)
+
+
+FAULTS: dict[str, type] = {
+    "jamming": Jamming,
+    "signal_loss": SignalLoss,
+    "glint": Glint,
+    "noise_misreport": NoiseMisreport,
+}
+
+
+def resolve_faults(
+    setting: str | Mapping[str, Mapping[str, object]] | Sequence[Fault],
+    presets: Mapping[str, tuple[Fault, ...]],
+    known: Mapping[str, type],
+) -> tuple[Fault, ...]:
+    """The faults that a setting names.
+
+    Args:
+        setting: a preset's name; or fault objects; or a mapping from a fault's name to
+            its parameters, e.g. ``{"jamming": {"start": 70, "duration": [30, 30]}}``.
+        presets, known: the scenario's.
+
+    Raises:
+        ValueError: for an unknown preset, fault or parameter.
+    """
+    if isinstance(setting, str):
+        if setting not in presets:
+            raise ValueError(unknown("faults", setting, presets))
+        return presets[setting]
+    if isinstance(setting, Mapping):
+        return tuple(_build(name, parameters, known) for name, parameters in setting.items())
+    faults = tuple(setting)
+    for fault in faults:
+        if not callable(getattr(fault, "apply", None)) or not hasattr(fault, "label"):
+            raise ValueError(
+                f"{fault!r} is no fault: it needs a `label` and a method `apply(draft, rng)`."
+            )
+    return faults
+
+
+def _build(name: str, parameters: Mapping[str, object], known: Mapping[str, type]) -> Fault:
+    if name not in known:
+        raise ValueError(unknown("fault", name, known))
+    names = [parameter.name for parameter in fields(known[name])]
+    for parameter in parameters:
+        if parameter not in names:
+            raise ValueError(unknown(f"parameter of the fault {name!r}:", parameter, names))
+    values = {
+        key: tuple(value) if isinstance(value, list) else value
+        for key, value in parameters.items()
+    }
+    return known[name](**values)
+
+
+def _check_range(fault: object, name: str, lowest: float | None = None) -> None:
+    pair = getattr(fault, name)
+    right = isinstance(pair, tuple | list) and len(pair) == 2
+    right = right and pair[0] <= pair[1] < float("inf")
+    right = right and (pair[0] > 0 if lowest is None else pair[0] >= lowest)
+    if not right:
+        bound = "positive" if lowest is None else f"at least {lowest}"
+        raise ValueError(
+            f"{type(fault).__name__}.{name} must be a pair (low, high), {bound} and in order, "
+            f"got {pair!r}."
+        )
+
+
+def _log_uniform(rng: Generator, bounds: Range) -> float:
+    return float(np.exp(rng.uniform(np.log(bounds[0]), np.log(bounds[1]))))
+
+
+def _draw_start(start: float | None, duration: float, draft: Draft, rng: Generator) -> float:
+    first, last = draft.time[0], draft.time[-1]
+    drawn = rng.uniform(first, max(last - duration, first))
+    return drawn if start is None else start

@@ -1,0 +1,76 @@
+"""A manoeuvring aircraft before a phased-array radar under faults (SPEC 4.2, 7.1 E3)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from kfenv.models.model import Motion
+from kfenv.models.phased_array import PhasedArray
+from kfenv.models.variable_turn import variable_turn
+from kfenv.scenarios.faults import FAULTS, Fault, Glint, Jamming, NoiseMisreport, SignalLoss
+from kfenv.scenarios.radar import RadarDraft, RadarScenario, Rain, SelfScreeningJammer
+from kfenv.scenarios.trajectories import paper_trajectory, random_trajectory
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RadarTracking(RadarScenario):
+    """The scenario of ``kfenv/RadarTracking-v0``."""
+
+    duration: float = 120.0
+    rate: float = 10.0
+    faults: str | Mapping[str, Mapping[str, object]] | Sequence[Fault] = "random"
+
+    name: ClassVar[str] = "RadarTracking"
+    radar: ClassVar[PhasedArray] = PhasedArray()
+    initial_deviation: ClassVar[tuple[float, float, float]] = (50.0, 20.0, 3.0)
+    error_scale: ClassVar[float] = 50.0
+    known_faults: ClassVar[Mapping[str, type]] = FAULTS | {
+        "rain": Rain,
+        "self_screening_jammer": SelfScreeningJammer,
+    }
+    presets: ClassVar[Mapping[str, tuple[Fault, ...]]] = {
+        "random": (Rain(), Jamming(), SignalLoss(), Glint(), NoiseMisreport()),
+        "paper": (SelfScreeningJammer(), SignalLoss(duration=(10.0, 10.0), start=150.0)),
+        "none": (),
+    }
+
+    @cached_property
+    def motion(self) -> Motion:
+        """Variable turn, white jerk of 1 m^2/s^5."""
+        return variable_turn(1.0)
+
+    def trajectory(self, rng: Generator) -> Array:
+        """Trajectory B in the published case, the given track, or a random flight."""
+        if self.track is not None:
+            return super().trajectory(rng)
+        if self.faults == "paper":
+            return paper_trajectory("B", self.time)
+        return random_trajectory(rng, self.time)
+
+    def draft(self, truth: Array) -> RadarDraft:
+        """The clean episode: S/N from the radar equation, nothing beyond the scan limit."""
+        draft = super().draft(truth)
+        distance, azimuth, elevation = draft.position.T
+        draft.snr = self.radar.signal_to_noise(distance, azimuth, elevation)
+        draft.told_snr = draft.snr.copy()
+        draft.available &= self.radar.detects(azimuth, elevation)[:, None]
+        return draft
+
+    def noise(self, draft: RadarDraft, snr: Array) -> Array:
+        """From the integrated S/N."""
+        _, azimuth, elevation = draft.position.T
+        limit = self.radar.max_scan  # beyond it nothing arrives: any finite value will do
+        azimuth = np.clip(azimuth, self.radar.boresight_azimuth - limit,
+                          self.radar.boresight_azimuth + limit)  # fmt: skip
+        elevation = np.clip(elevation, self.radar.boresight_elevation - limit,
+                            self.radar.boresight_elevation + limit)  # fmt: skip
+        return self.radar.noise(self.radar.integrated(snr), azimuth, elevation)
