@@ -12,13 +12,15 @@ of eight. Loops over them are then turned into vector code; a trip count that is
 constant would be unrolled first, and no vector code result.
 """
 
-from math import floor, isfinite, isnan, log, nan, pi, sqrt
+import sys
+from math import floor, isnan, log, nan, pi, sqrt
 
 from numba import njit
 
 from kfenv.models.namespaces.compiled import FLOATING_POINT
 
 TWO_PI = 2.0 * pi
+LARGEST = sys.float_info.max
 OK, BAD_PREDICTION, BAD_INNOVATION, BAD_UPDATE = 0, 1, 2, 3
 
 
@@ -263,6 +265,12 @@ def _copy(mean, factor, new_mean, new_factor):
             new_factor[i, j] = factor[i, j]
 
 
+@njit(forceinline=True, **FLOATING_POINT)
+def _is_finite(value):
+    # math.isfinite compiles to value - value, which reassociation cancels to zero: always true
+    return abs(value) <= LARGEST
+
+
 @njit(**FLOATING_POINT)
 def _finite(mean, factor):
     total = 0.0
@@ -270,7 +278,7 @@ def _finite(mean, factor):
         total += mean[i]
         for j in range(i + 1):
             total += factor[i, j]
-    return isfinite(total)
+    return _is_finite(total)
 
 
 @njit(**FLOATING_POINT)
@@ -316,7 +324,7 @@ def update(mean, root, noise, fading, process_scale, s, z, sd, weights, widths, 
                               variance[b], whitened[b], present, X, Z, A, U, Re, C,
                               weights.size, widths[1], widths[2])  # fmt: skip
         nis[b], log_likelihood[b] = _assess(count, present, whitened[b], C)
-        if count > 0 and not isfinite(nis[b]):
+        if count > 0 and not _is_finite(nis[b]):
             status[b] = BAD_INNOVATION
             continue
         if correct and count > 0:
@@ -354,7 +362,7 @@ def run(mean, factor, dt, u, s, z, sd, fading, process_scale, weights, widths, s
                                   innovation, variance, whitened, present, X, Z, A, U, Re, C,
                                   weights.size, widths[1], widths[2])  # fmt: skip
             nis[b, t] = _assess(count, present, whitened, C)[0]
-            if count > 0 and not isfinite(nis[b, t]):
+            if count > 0 and not _is_finite(nis[b, t]):
                 status[b] = BAD_INNOVATION
                 failed_at[b] = t
                 break

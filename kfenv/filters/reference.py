@@ -203,6 +203,7 @@ class ReferenceFilter:
         for t in range(steps):
             if t == 0:
                 prediction = Prediction(mean, spread, np.zeros_like(spread))
+                _blame(status, BAD_PREDICTION, mean, spread)
             else:
                 elapsed = np.full(batch_size, dt[t])
                 prediction = self._predict(mean, spread, u[:, t], elapsed, status)
