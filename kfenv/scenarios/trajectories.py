@@ -290,7 +290,7 @@ def _random_start(rng: Generator, nodes: Array) -> tuple[Placement, float] | Non
     """Draw the placement and first height that keep a flight in coverage, if there are any."""
     every = round(CHECK_STEP / INNER_STEP)
     path = np.hstack([nodes[0, :, ::every], nodes[0, :, -1:]])
-    low, high = path.min(axis=1), path.max(axis=1)
+    low, high = nodes[0].min(axis=1), nodes[0].max(axis=1)
     least, most = MIN_ALTITUDE - low[2], MAX_ALTITUDE - high[2]
     if most < least:
         return None
