@@ -1,0 +1,111 @@
+"""What an agent is: something that sees observations and sets knobs, a batch at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kfenv.envs.knobs import Knob, actions_for
+from kfenv.models.model import Sensor
+from kfenv.scenarios.recording import Recording
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Contest:
+    """What an agent is told before the episodes begin.
+
+    Attributes:
+        knobs: those that the action sets.
+        sensor: channels and their groups.
+        batch: number of episodes in lock-step.
+        seed: for agents that draw.
+        recording: the episodes; only the clairvoyant may look into it.
+        decision_interval: filter steps per action.
+    """
+
+    knobs: tuple[Knob, ...]
+    sensor: Sensor
+    batch: int
+    seed: int
+    recording: Recording
+    decision_interval: int = 1
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number of an agent that tuning may choose, between low and high (log scale)."""
+
+    name: str
+    low: float
+    high: float
+    default: float
+
+
+class Agent:
+    """Base of all agents: reset once per contest, then one action per decision.
+
+    Class attributes:
+        parameters: what tuning may choose.
+        all_knobs: whether the agent wants every knob, whatever the environment exposes.
+    """
+
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    all_knobs: ClassVar[bool] = True
+
+    def __init__(self, name: str, values: Mapping[str, float] | None = None) -> None:
+        self.name = name
+        self.values = {p.name: p.default for p in self.parameters} | dict(values or {})
+
+    def tunable(self, knobs: Sequence[Knob]) -> tuple[Parameter, ...]:
+        """What tuning may choose, given the knobs that the agent can turn."""
+        return self.parameters
+
+    def reset(self, contest: Contest) -> None:
+        """Forget the last contest."""
+        self.contest = contest
+
+    def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
+        """Actions (B, K) for observations (B, D) and the arrays of the info dictionary."""
+        raise NotImplementedError
+
+    def with_values(self, values: Mapping[str, float]) -> Agent:
+        """The same agent with other parameters."""
+        return type(self)(self.name, values)
+
+
+def knob_actions(
+    contest: Contest,
+    fading: Array | float = 1.0,
+    process_noise: Array | float = 1.0,
+    channel_noise: Array | None = None,
+) -> Array:
+    """The actions (B, K) that set these factors.
+
+    Args:
+        fading, process_noise: (B,) or one number.
+        channel_noise: (B, m) factors of the channels' noise deviation; the channels of
+            a group share its knob, which takes their root mean square.
+    """
+    factors = {"fading": fading, "process_noise": process_noise}
+    if channel_noise is not None:
+        for group, channels in channels_of(contest.sensor).items():
+            square = np.mean(channel_noise[:, channels] ** 2, axis=1)
+            factors[f"{group}_noise"] = np.sqrt(square)
+    columns = [
+        np.broadcast_to(factors.get(knob.name, 1.0), contest.batch) for knob in contest.knobs
+    ]
+    return actions_for(np.stack(columns, axis=1), contest.knobs)
+
+
+def channels_of(sensor: Sensor) -> dict[str, Sequence[int]]:
+    """The channel indices of each group."""
+    return {
+        group: [c for c, g in enumerate(sensor.group_of_channel) if g == i]
+        for i, group in enumerate(sensor.groups)
+    }

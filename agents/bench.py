@@ -1,0 +1,169 @@
+"""Speed, as ratios within one run: machines differ, and so do their loads."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+
+import kfenv  # noqa: F401  (registers the environments)
+from kfenv.filters.engine import Engine
+from kfenv.models.namespaces import scalar
+from kfenv.scenarios.radar_tracking import RadarTracking
+
+ENV_ID = "kfenv/RadarTracking-v0"
+FILTERS = 1024
+SUB_ENVIRONMENTS = 256
+
+
+class Row(NamedTuple):
+    """One line of the table: what, how fast, compared with what, and the promise."""
+
+    what: str
+    figure: str
+    compared: str
+    promised: str
+
+
+def benchmark(advance: Callable[[str], None] = lambda what: None) -> list[Row]:
+    """Run all benchmarks, one core each; takes about a minute."""
+    rows = []
+    for name, measure in (
+        ("engine", _engine_rows),
+        ("environments", _environment_rows),
+        ("start-up", _start_up_rows),
+    ):
+        advance(name)
+        rows.extend(measure())
+    return rows
+
+
+def _best(repeat: int, function: Callable[[], Any]) -> float:
+    """Shortest of several times, s: what the machine can do when nobody disturbs it."""
+    times = []
+    for _ in range(repeat):
+        start = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def _engine_rows() -> list[Row]:
+    scenario = RadarTracking(duration=5.0, faults="none")
+    recording = scenario.sample([np.random.default_rng(i) for i in range(FILTERS)])
+    engine = Engine(scenario.motion, scenario.sensor)
+    ones = np.ones(FILTERS)
+
+    def run() -> None:
+        engine.run(
+            recording.mean, recording.factor, recording.time, recording.motion_inputs,
+            recording.sensor_inputs, recording.measurement, recording.noise, ones, ones,
+        )  # fmt: skip
+
+    run()
+    filterpy = _filterpy_filter(scenario, recording)
+    # In turn, so that a drift of the machine's speed meets both.
+    ours, theirs = [], []
+    for _ in range(4):
+        ours.append(FILTERS * len(recording.time) / _best(2, run))
+        if filterpy is not None:
+            theirs.append(len(recording.time) / _best(2, filterpy))
+    speed = max(ours)
+    if not theirs:
+        ratio = "FilterPy is not installed"
+    else:
+        ratio = f"{speed / max(theirs):,.0f} x FilterPy's UKF ({max(theirs):,.0f} steps/s)"
+    what = f"engine, n=9, m=3, variable turn, {FILTERS} filters"
+    return [Row(what, f"{speed:,.0f} steps/s", ratio, "200 x FilterPy")]
+
+
+def _filterpy_filter(scenario: RadarTracking, recording) -> Callable[[], None] | None:
+    """FilterPy's UKF over the first episode, its model in plain floats and Q held constant."""
+    try:
+        from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter
+    except ImportError:
+        return None
+    functions, measure = scenario.motion.build(scalar), scenario.sensor.build(scalar)
+    dt = 1.0 / scenario.rate
+
+    def run() -> None:
+        ukf = UnscentedKalmanFilter(
+            9, 3, dt,
+            hx=lambda x: np.array(measure(x.tolist(), ())),
+            fx=lambda x, dt: np.array(functions.step(x.tolist(), (), dt)),
+            points=JulierSigmaPoints(9, 1.0),
+        )  # fmt: skip
+        ukf.x, ukf.P = recording.mean[0].copy(), recording.factor[0] @ recording.factor[0].T
+        factor = np.zeros((9, 9))
+        entries = functions.noise_factor(recording.mean[0].tolist(), (), dt)
+        for (i, j), value in zip(scenario.motion.noise_pattern, entries, strict=True):
+            factor[i, j] = value
+        ukf.Q = factor @ factor.T
+        for t in range(len(recording.time)):
+            ukf.predict()
+            ukf.update(recording.measurement[0, t], R=np.diag(recording.noise[0, t] ** 2))
+
+    return run
+
+
+def _environment_rows() -> list[Row]:
+    vector = gym.make_vec(ENV_ID, num_envs=SUB_ENVIRONMENTS, autoreset_mode="same_step")
+    vector.reset(seed=0)
+    action = np.zeros(vector.action_space.shape, np.float32)
+
+    def episodes() -> None:
+        for _ in range(400):
+            vector.step(action)
+
+    # Three rounds pass an episode's end, so that drawing new episodes is counted.
+    start = time.perf_counter()
+    for _ in range(3):
+        episodes()
+    speed = 3 * 400 * SUB_ENVIRONMENTS / (time.perf_counter() - start)
+    single = gym.make(ENV_ID)
+    single.reset(seed=0)
+    zero, times = np.zeros(single.action_space.shape, np.float32), []
+    for _ in range(1000):
+        start = time.perf_counter()
+        single.step(zero)
+        times.append(time.perf_counter() - start)
+    what = f"vector environment, {SUB_ENVIRONMENTS} sub-environments, resets included"
+    return [
+        Row(what, f"{speed:,.0f} steps/s", "", "150,000 steps/s"),
+        Row("single env.step, median", f"{np.median(times) * 1e6:.0f} us", "", "100 us"),
+    ]
+
+
+def _start_up_rows() -> list[Row]:
+    step = (
+        "import time; start = time.perf_counter(); import gymnasium, kfenv;"
+        f"env = gymnasium.make({ENV_ID!r}); env.reset(seed=0);"
+        "env.step(env.action_space.sample()); print(time.perf_counter() - start)"
+    )
+    bare = "import time; s = time.perf_counter(); import kfenv; print(time.perf_counter() - s)"
+    with tempfile.TemporaryDirectory() as cache:
+        cold = _in_new_process(step, cache)
+        warm = min(_in_new_process(step, cache) for _ in range(3))
+    plain = min(_in_new_process(bare, None) for _ in range(3))
+    return [
+        Row("import kfenv", f"{plain:.2f} s", "", "0.5 s"),
+        Row("import, make, reset, step: cold", f"{cold:.1f} s", "", "10 s"),
+        Row("the same with a warm cache", f"{warm:.2f} s", f"{cold / warm:.0f} x faster", "1 s"),
+    ]
+
+
+def _in_new_process(program: str, cache: str | None) -> float:
+    environment = dict(os.environ)
+    if cache is not None:
+        environment["NUMBA_CACHE_DIR"] = cache
+    output = subprocess.run(
+        [sys.executable, "-c", program], env=environment, check=True, capture_output=True, text=True
+    )
+    return float(output.stdout.split()[-1])

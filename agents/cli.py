@@ -1,0 +1,301 @@
+"""The command line: `kfenv --help`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Learn to tune an adaptive Kalman filter, and contest the classical ways of doing so.",
+)
+console = Console()
+
+DEFAULT_AGENTS = (
+    "innovation-fading", "innovation-fading-printed", "huber-gate", "innovation-noise",
+    "clairvoyant", "random",
+)  # fmt: skip
+
+Environment = Annotated[str, typer.Argument(metavar="ENV", help="An id that `kfenv envs` lists.")]
+Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same result.")]
+Rate = Annotated[float | None, typer.Option(help="Measurements per second.")]
+Faults = Annotated[str | None, typer.Option(help="'random', 'paper', 'none', or a JSON object.")]
+Track = Annotated[
+    Path | None, typer.Option(help="A real flight as the truth: CSV with t, lat, lon, alt_m.")
+]
+Option = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--option", help="KEY=VALUE, any other keyword of the environment, value in JSON."
+    ),
+]
+Resume = Annotated[bool, typer.Option(help="Go on with what is in the output folder.")]
+
+
+@app.command()
+def envs() -> None:
+    """List the environments."""
+    import gymnasium
+
+    import kfenv
+
+    table = Table("id", "what", "observes", "knobs", "rate", "episode")
+    for env_id in kfenv.ENVIRONMENTS:
+        env = gymnasium.make(env_id)
+        core = env.unwrapped
+        table.add_row(
+            env_id,
+            core.scenario_class.__doc__.splitlines()[0],
+            str(env.observation_space.shape[0]),
+            str(env.action_space.shape[0]),
+            f"{core.scenario.rate:g} Hz",
+            f"{core.scenario.duration:g} s",
+        )
+    console.print(table)
+    console.print("Their pages: python -c \"import gymnasium, kfenv; "
+                  "help(type(gymnasium.make('kfenv/RadarTracking-v0').unwrapped))\"")  # fmt: skip
+
+
+@app.command()
+def train(
+    env: Environment,
+    output: Annotated[Path, typer.Option(help="New folder for checkpoint, policy and logs.")],
+    algo: Annotated[str, typer.Option(help="'ppo' or 'sac'.")] = "ppo",
+    steps: Annotated[int, typer.Option(min=1, help="Environment steps in all.")] = 2_000_000,
+    seed: Seed = 0,
+    config: Annotated[
+        Path | None, typer.Option(help="TOML file with settings that differ from the defaults.")
+    ] = None,
+    rate: Rate = None,
+    faults: Faults = None,
+    track: Track = None,
+    option: Option = None,
+    resume: Resume = False,
+) -> None:
+    """Train an agent (needs the extra 'train')."""
+    with _complaints():
+        kwargs = _env_kwargs(rate, faults, track, option)
+        _training()(
+            env, algorithm=algo, steps=steps, seed=seed, output=output, env_kwargs=kwargs,
+            config_path=config, resume=resume,
+        )  # fmt: skip
+    console.print(f"The policy is in {output / 'policy.npz'}; contest it with")
+    console.print(f"  kfenv evaluate {env} --agent {output} --output {output}-evaluation")
+
+
+@app.command()
+def evaluate(
+    env: Environment,
+    output: Annotated[Path, typer.Option(help="New folder for results and figures.")],
+    agent: Annotated[
+        list[str] | None,
+        typer.Option(help="A name, or the path of a trained policy (NAME=PATH names it); repeat."),
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=2, help="Unseen episodes.")] = 200,
+    seed: Seed = 0,
+    rate: Rate = None,
+    faults: Faults = None,
+    track: Track = None,
+    option: Option = None,
+    tuning_episodes: Annotated[
+        int,
+        typer.Option(min=1, help="Episodes on which parameters are tuned, none of them tested."),
+    ] = 32,
+    tuning_trials: Annotated[
+        int, typer.Option(min=0, help="Settings tried per agent; 0 keeps the literature's values.")
+    ] = 60,
+    processes: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
+    resume: Resume = False,
+) -> None:
+    """Contest agents on the same unseen episodes: table, figures, results.json.
+
+    Names: fixed, fixed-tuned, innovation-fading, innovation-fading-printed, huber-gate,
+    innovation-noise, clairvoyant, random. Without --agent all of them take part.
+    """
+    with _complaints():
+        kwargs = _env_kwargs(rate, faults, track, option)
+        _contest(
+            env, kwargs, tuple(agent or DEFAULT_AGENTS), episodes, seed, tuning_episodes,
+            tuning_trials, output, processes, resume,
+        )  # fmt: skip
+
+
+@app.command()
+def bench() -> None:
+    """Measure speed; with FilterPy installed, as a ratio to its filter."""
+    from .bench import benchmark
+
+    table = Table("what", "measured", "compared", "promised")
+    with console.status("") as status:
+        rows = benchmark(lambda what: status.update(f"Measuring {what} ..."))
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
+
+
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option(help="New folder for everything it writes.")] = Path(
+        "demo"
+    ),
+    seed: Seed = 0,
+    steps: Annotated[int, typer.Option(min=1, help="Training steps.")] = 2_000_000,
+    episodes: Annotated[int, typer.Option(min=2, help="Unseen episodes.")] = 200,
+    resume: Resume = False,
+) -> None:
+    """The whole idea in a few minutes: train an agent, then contest it.
+
+    On kfenv/RadarTracking-v0 at 2 measurements per second, the harder contest.
+    """
+    env, kwargs = "kfenv/RadarTracking-v0", {"rate": 2.0}
+    learned = output / "learned"
+    with _complaints():
+        if output.exists() and any(output.iterdir()) and not resume:
+            raise FileExistsError(
+                f"The folder {output} is not empty: name another with --output, or go on "
+                "with --resume."
+            )
+        if not (resume and (learned / "policy.npz").exists() and _trained(learned) >= steps):
+            console.print(f"Training PPO for {steps:,} steps on random flights and faults ...")
+            _training()(
+                env, algorithm="ppo", steps=steps, seed=seed, output=learned, env_kwargs=kwargs,
+                resume=resume and learned.exists(),
+            )  # fmt: skip
+        console.print(f"Contest on {episodes} unseen episodes; every rule is tuned first ...")
+        _contest(
+            env, kwargs, (*DEFAULT_AGENTS, str(learned)), episodes, seed, 32, 60,
+            output / "evaluation", 2, resume,
+        )  # fmt: skip
+
+
+def _trained(folder: Path) -> int:
+    try:
+        return int(json.loads((folder / "training.json").read_text())["steps"])
+    except (OSError, ValueError, KeyError):
+        return 0
+
+
+def _training() -> Callable[..., Path]:
+    try:
+        from .training import train
+    except ImportError as error:
+        raise ValueError(
+            f"Training needs the extra 'train' ({error}): pip install 'kfenv[train]'."
+        ) from None
+    return train
+
+
+def _contest(
+    env: str, kwargs: dict[str, Any], agents: tuple[str, ...], episodes: int, seed: int,
+    tuning_episodes: int, tuning_trials: int, output: Path, processes: int, resume: bool,
+) -> None:  # fmt: skip
+    import kfenv  # noqa: F401  (registers the environments)
+
+    from .evaluation import Contest, evaluate
+    from .figures import draw_contest
+
+    contest = Contest(env, kwargs, agents, episodes, seed, tuning_episodes, tuning_trials)
+    with _progress() as bar:
+        task = bar.add_task("agents", total=None)
+        results = evaluate(
+            contest, output, processes, resume,
+            started=lambda total: bar.update(task, total=total),
+            advance=lambda name: bar.update(task, advance=1, description=f"{name} done"),
+        )  # fmt: skip
+    console.print(_results_table(results))
+    for path in draw_contest(contest, results, output):
+        console.print(f"Figure: {path}")
+    console.print(f"Results: {output / 'results.json'}")
+
+
+def _results_table(results: list[dict[str, Any]]) -> Table:
+    table = Table(
+        "agent", "median", "mean", "std", "p95", "lost", "ANEES",
+        "below fixed, %", "against fixed-tuned, m",
+        title="Position RMSE on unseen episodes, m (medians with 95 % intervals)",
+        caption="lost: tracks lost, %; ANEES: 1 if consistent, lost tracks left out",
+    )  # fmt: skip
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for r in sorted(results, key=lambda result: result["rmse_median"]):
+        better = [100.0 * r[key] for key in ("improvement_over_fixed", "ci_low", "ci_high")]
+        tuned = [r[f"difference_{key}"] for key in ("to_fixed_tuned", "ci_low", "ci_high")]
+        table.add_row(
+            r["agent"], *(_short(r[key]) for key in ("rmse_median", "rmse", "rmse_std", "rmse_p95")),
+            f"{100.0 * r['track_loss']:.0f}", "-" if r["anees"] is None else _short(r["anees"]),
+            f"{better[0]:+.0f} ({better[1]:+.0f}, {better[2]:+.0f})",
+            f"{tuned[0]:+.0f} ({tuned[1]:+.0f}, {tuned[2]:+.0f})",
+        )  # fmt: skip
+    return table
+
+
+def _short(number: float) -> str:
+    return f"{number:.3g}" if abs(number) < 1000.0 or abs(number) >= 1e5 else f"{number:.0f}"
+
+
+@contextmanager
+def _progress() -> Iterator[Progress]:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        yield bar
+
+
+def _env_kwargs(
+    rate: float | None, faults: str | None, track: Path | None, option: list[str] | None
+) -> dict[str, Any]:
+    """The environment's keywords; complains of an option that is no KEY=VALUE."""
+    kwargs: dict[str, Any] = {}
+    for item in option or ():
+        key, equals, value = item.partition("=")
+        if not equals:
+            raise ValueError(f"--option {item!r} is not of the form KEY=VALUE.")
+        kwargs[key] = _json_or_text(value)
+    if rate is not None:
+        kwargs["rate"] = rate
+    if faults is not None:
+        kwargs["faults"] = _json_or_text(faults)
+    if track is not None:
+        kwargs["track"] = str(track.resolve())
+    return kwargs
+
+
+def _json_or_text(value: str) -> Any:
+    try:
+        return json.loads(value)
+    except json.JSONDecodeError:
+        return value
+
+
+@contextmanager
+def _complaints() -> Iterator[None]:
+    """One sentence instead of a traceback for what the user can mend."""
+    from gymnasium.error import Error as GymnasiumError
+
+    try:
+        yield
+    except KeyboardInterrupt as interrupt:
+        message = str(interrupt) or "Interrupted: what was finished is kept; go on with --resume."
+        Console(stderr=True).print(message, soft_wrap=True)
+        raise typer.Exit(130) from None
+    except (ValueError, TypeError, OSError, GymnasiumError) as error:
+        Console(stderr=True).print(f"[red]Error:[/red] {error}", soft_wrap=True, markup=True)
+        raise typer.Exit(2) from None
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,138 @@
+"""Figures of a contest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from .evaluation import Contest, read_scores, read_values
+from .files import written_whole
+from .learned import Learned
+from .registry import make_agent
+from .rollout import draw_episodes, rollout
+
+# Okabe and Ito's palette: told apart with any colour vision.
+COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7", "#999999")
+SHADES = {"jamming": "#D55E00", "signal loss": "#777777"}
+
+
+def draw_contest(contest: Contest, results: Sequence[dict[str, Any]], output: Path) -> list[Path]:
+    """Write the figures of an evaluated contest and return their paths."""
+    paths = [output / "rmse.png", output / "improvement.png", output / "episode.png"]
+    _save(_distributions(results, output), paths[0])
+    _save(_improvements(results), paths[1])
+    _save(_episode(contest, results, output), paths[2])
+    return paths
+
+
+def _save(figure: Figure, path: Path) -> None:
+    with written_whole(path) as file:
+        figure.savefig(file, format="png", dpi=130)
+
+
+def _ranked(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    return sorted(results, key=lambda result: result["rmse_median"])
+
+
+def _distributions(results: Sequence[dict[str, Any]], output: Path) -> Figure:
+    """Cumulative distribution of the episodes' RMSE."""
+    figure = Figure((8.0, 4.8), layout="constrained")
+    axes = figure.subplots()
+    for i, result in enumerate(_ranked(results)):
+        rmse = np.sort(read_scores(output, result["given_as"]).rmse)
+        share = np.arange(1, len(rmse) + 1) / len(rmse)
+        label = f"{result['agent']}  ({result['rmse_median']:.3g} m)"
+        axes.step(rmse, share, where="post", color=COLOURS[i % len(COLOURS)], label=label, lw=1.6)
+    axes.set_xscale("log")
+    axes.set_xlabel("position RMSE of an episode, m")
+    axes.set_ylabel("share of episodes")
+    axes.set_ylim(0.0, 1.0)
+    axes.set_title(f"{results[0]['env']}: {results[0]['episodes']} unseen episodes", loc="left")
+    axes.legend(frameon=False, title="agent (median)", loc="lower right", fontsize=9)
+    _clean(axes)
+    return figure
+
+
+def _improvements(results: Sequence[dict[str, Any]]) -> Figure:
+    """Median improvement over the nominal filter on the same episode, with its interval."""
+    ranked = [r for r in _ranked(results)[::-1] if r["agent"] != "fixed"]
+    figure = Figure((8.0, 0.42 * len(ranked) + 1.6), layout="constrained")
+    axes = figure.subplots()
+    for row, result in enumerate(ranked):
+        low, middle, high = (
+            100.0 * max(result[key], -1.0)
+            for key in ("ci_low", "improvement_over_fixed", "ci_high")
+        )
+        axes.plot([low, high], [row, row], color=COLOURS[4], lw=4, solid_capstyle="butt", alpha=0.4)
+        axes.plot(middle, row, "o", color=COLOURS[4])
+    axes.axvline(0.0, color="black", lw=0.8)
+    axes.set_yticks(range(len(ranked)), [result["agent"] for result in ranked])
+    axes.set_xlim(-105.0, 100.0)
+    axes.set_xlabel("RMSE below that of the nominal filter on the same episode, % "
+                    "(median, 95 % interval; below -100 drawn at -100)")  # fmt: skip
+    _clean(axes)
+    return figure
+
+
+def _episode(contest: Contest, results: Sequence[dict[str, Any]], output: Path) -> Figure:
+    """Error and one knob over an episode on which the nominal filter does as usual."""
+    fixed = read_scores(output, "fixed").rmse
+    chosen = int(np.argsort(fixed)[len(fixed) // 2])
+    recording = draw_episodes(
+        contest.env_id, contest.env_kwargs, "test", contest.seed, contest.episodes
+    )[[chosen]]
+    figure = Figure((9.0, 6.0), layout="constrained")
+    top, bottom = figure.subplots(2, sharex=True, height_ratios=(3, 2))
+    for i, result in enumerate(_shown(results)):
+        agent = make_agent(result["given_as"])
+        if not isinstance(agent, Learned):
+            agent = agent.with_values(read_values(output, result["given_as"]))
+        scores = rollout(agent, contest.env_id, contest.env_kwargs, recording, contest.seed, True)
+        time = _decision_times(recording.time, len(scores.error))
+        style = {"color": COLOURS[i], "lw": 1.3, "label": result["agent"]}
+        top.plot(time, scores.error[:, 0], **style)
+        bottom.plot(time, scores.factors[:, 0, 2:].prod(axis=1) ** (1.0 / 3.0), **style)
+    _shade(top, recording.faults[0])
+    _shade(bottom, recording.faults[0], labelled=False)
+    for axes, label in ((top, "position error, m"), (bottom, "noise factor\n(mean of groups)")):
+        axes.set_yscale("log")
+        axes.set_ylabel(label)
+        _clean(axes)
+    top.set_ylim(bottom=0.3)
+    top.set_title(f"Episode {chosen}, on which the nominal filter does as usual", loc="left")
+    top.legend(frameon=False, ncols=3, fontsize=9)
+    bottom.set_xlabel("time, s")
+    return figure
+
+
+def _shown(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The yardsticks, the clairvoyant and the three best of the others."""
+    always = ("fixed", "fixed-tuned", "clairvoyant")
+    others = [r for r in _ranked(results) if r["agent"] not in always][:3]
+    return [r for r in results if r["agent"] in always] + others
+
+
+def _decision_times(time: np.ndarray, decisions: int) -> np.ndarray:
+    interval = -(-len(time) // decisions)
+    return time[np.minimum(np.arange(1, decisions + 1) * interval, len(time)) - 1]
+
+
+def _shade(axes: Axes, faults: Sequence[Any], labelled: bool = True) -> None:
+    seen: set[str] = set()
+    for fault in faults:
+        if fault.label not in SHADES:
+            continue
+        label = fault.label if labelled and fault.label not in seen else None
+        seen.add(fault.label)
+        axes.axvspan(fault.start, fault.stop, color=SHADES[fault.label], alpha=0.15, lw=0,
+                     label=label)  # fmt: skip
+
+
+def _clean(axes: Axes) -> None:
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(alpha=0.25)

@@ -1,0 +1,41 @@
+"""A trained policy as an agent: plain arrays, run by NumPy alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .agent import Agent, Array
+from .policy import NumpyPolicy
+
+# What a policy was trained with and must be evaluated with.
+OWN_OPTIONS = ("actions", "decision_interval")
+
+
+class Learned(Agent):
+    """The deterministic policy in a file that `kfenv train` wrote.
+
+    Raises:
+        ValueError: if the file is none, or is damaged.
+    """
+
+    all_knobs = False
+
+    def __init__(self, path: str | Path, name: str | None = None) -> None:
+        path = Path(path)
+        path = path / "policy.npz" if path.is_dir() else path
+        self.policy = NumpyPolicy.load(path)
+        super().__init__(name or (path.parent.name if path.name == "policy.npz" else path.stem))
+
+    @property
+    def own_options(self) -> dict[str, Any]:
+        """Options of the environment that belong to the policy."""
+        kwargs = self.policy.env_kwargs
+        return {name: kwargs[name] for name in OWN_OPTIONS if name in kwargs}
+
+    def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
+        return self.policy.predict(observation).astype(np.float64)

@@ -1,0 +1,42 @@
+"""Agents by name, or by the path of a trained policy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kfenv.names import unknown
+
+from .agent import Agent
+from .fixed import Clairvoyant, Fixed, FixedTuned, Random
+from .learned import Learned
+from .rules import HuberGate, InnovationFading, InnovationFadingPrinted, InnovationNoise
+
+AGENTS: dict[str, type[Agent]] = {
+    "fixed": Fixed,
+    "fixed-tuned": FixedTuned,
+    "innovation-fading": InnovationFading,
+    "innovation-fading-printed": InnovationFadingPrinted,
+    "huber-gate": HuberGate,
+    "innovation-noise": InnovationNoise,
+    "clairvoyant": Clairvoyant,
+    "random": Random,
+}
+
+
+def make_agent(name_or_path: str) -> Agent:
+    """The named agent, or the policy at a path (a file, or the folder of a training run).
+
+    ``NAME=PATH`` gives a policy a name of its own.
+
+    Raises:
+        ValueError: if it is neither a known name nor a readable policy.
+    """
+    if name_or_path in AGENTS:
+        return AGENTS[name_or_path](name_or_path)
+    label, _, path = name_or_path.rpartition("=")
+    if Path(path).exists():
+        return Learned(path, label or None)
+    raise ValueError(
+        unknown("agent", name_or_path, AGENTS) + " A trained agent is named by the path of its "
+        "policy.npz or of its folder."
+    )

@@ -1,0 +1,107 @@
+"""Agents on recordings: everything scored, everyone on the same noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from gymnasium import spec
+from gymnasium.envs.registration import load_env_creator
+from numpy.random import Generator, SeedSequence, default_rng
+from numpy.typing import NDArray
+
+from kfenv.envs.core import Core
+from kfenv.envs.options import Options, split_keywords
+from kfenv.scenarios.recording import Recording
+
+from .agent import Agent, Contest
+
+Array = NDArray[np.float64]
+
+# Streams of random numbers that never meet: training draws from plain seeds, the
+# others from children of the seed's sequence under a key of their own.
+SPLITS = {"tuning": 1, "validation": 2, "test": 3}
+
+
+def episode_rngs(split: str, seed: int, episodes: int) -> list[Generator]:
+    """A generator for each episode of a split."""
+    key = SPLITS[split]
+    return [default_rng(SeedSequence(seed, spawn_key=(key, i))) for i in range(episodes)]
+
+
+def scenario_and_options(env_id: str, env_kwargs: dict[str, Any]) -> tuple[Any, Options]:
+    """The scenario and options that ``gym.make(env_id, **env_kwargs)`` would work with."""
+    creator = load_env_creator(spec(env_id).entry_point)
+    return split_keywords(creator.scenario_class, env_kwargs)
+
+
+def draw_episodes(
+    env_id: str, env_kwargs: dict[str, Any], split: str, seed: int, episodes: int
+) -> Recording:
+    """The episodes of a split; those given as ``recording`` are taken as they are."""
+    scenario, options = scenario_and_options(env_id, env_kwargs)
+    if options.recording is not None:
+        return options.recording[:episodes]
+    return scenario.sample(episode_rngs(split, seed, episodes))
+
+
+@dataclass(frozen=True)
+class Scores:
+    """What an agent achieved on N episodes.
+
+    Attributes:
+        rmse: (N,) position RMSE over the whole episode, m; a lost track counts the loss
+            distance for every remaining instant.
+        lost: (N,) whether the track was lost.
+        nees: (N,) mean position NEES per degree of freedom until the end or the loss.
+        error: (T, N) position error, m, if traced.
+        factors: (T, N, K) all knobs' factors, if traced.
+    """
+
+    rmse: Array
+    lost: NDArray[np.bool_]
+    nees: Array
+    error: Array | None = None
+    factors: Array | None = None
+
+
+def rollout(
+    agent: Agent,
+    env_id: str,
+    env_kwargs: dict[str, Any],
+    recording: Recording,
+    seed: int = 0,
+    trace: bool = False,
+) -> Scores:
+    """Run an agent over every episode of a recording, in lock-step.
+
+    Raises:
+        ValueError: if the recording has no truth to score against.
+    """
+    if recording.truth is None:
+        raise ValueError("The episodes have no truth, so no error can be scored.")
+    scenario, options = scenario_and_options(env_id, env_kwargs)
+    own = {"actions": None} if agent.all_knobs else getattr(agent, "own_options", {})
+    options = replace(options, recording=recording, reward="rmse", **own)
+    core = Core(scenario, options, len(recording), recording.time, has_truth=True)
+    core.load(np.arange(len(recording)), recording)
+    contest = (core.knobs, scenario.sensor, core.batch, seed, recording, options.decision_interval)
+    agent.reset(Contest(*contest))
+    running, lost = np.ones(core.batch, bool), np.zeros(core.batch, bool)
+    errors, factors = [], []
+    while running.any():
+        action = np.clip(agent.act(core.observation(), core.information()), -1.0, 1.0)
+        _, gone, ended = core.step(action, running)
+        lost |= gone
+        running &= ~(gone | ended)
+        if trace:
+            errors.append(core.error.copy())
+            factors.append(core.factors.copy())
+    steps = len(recording.time)
+    scored = np.where(lost, core.index + 1, steps)
+    squared = core.total_squared_error + (steps - scored) * scenario.lost_distance**2
+    return Scores(
+        np.sqrt(squared / steps), lost, core.total_nees / scored / 3.0,
+        np.array(errors) if trace else None, np.array(factors) if trace else None,
+    )  # fmt: skip

@@ -1,0 +1,135 @@
+"""Classical rules that adapt the knobs to the pending innovation (SPEC 6, 10).
+
+They see what every agent sees: the innovation nu, its variance S under the nominal
+knobs, and the noise R that the filter was told; H P H^T is S - R. Channels that did
+not arrive are NaN and leave a rule's memory as it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .agent import Agent, Array, Contest, Parameter, knob_actions
+
+PROCESS_NOISE = Parameter("process_noise", 0.05, 200.0, 1.0)
+REACQUIRE_AFTER = 5  # consecutive rejections of a channel, then the gate opens once
+REJECTED = 1e3  # noise factor of a rejected channel: beyond any knob's range
+
+
+class InnovationFading(Agent):
+    """One fading factor from the innovations' second moment (SPEC 6), traces normalised by R.
+
+    V_1 = nu nu^T, V_k = (rho V_{k-1} + nu nu^T) / (1 + rho);
+    lambda = max(1, tr R^-1 (V - beta R) / tr R^-1 H P H^T).
+    """
+
+    parameters = (
+        Parameter("forgetting", 0.5, 1.0, 0.95),
+        Parameter("weakening", 1.0, 1000.0, 1.5),
+        PROCESS_NOISE,
+    )
+
+    def reset(self, contest: Contest) -> None:
+        super().reset(contest)
+        self._moment = np.full((contest.batch, len(contest.sensor.channels)), np.nan)
+
+    def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
+        squared = info["innovation"] ** 2
+        rho = self.values["forgetting"]
+        later = (rho * self._moment + squared) / (1.0 + rho)
+        updated = np.where(np.isnan(self._moment), squared, later)
+        arrived = ~np.isnan(squared)
+        self._moment = np.where(arrived, updated, self._moment)
+        fading = self._fading(info, arrived)
+        return knob_actions(self.contest, fading, self.values["process_noise"])
+
+    def _fading(self, info: Mapping[str, Any], arrived: NDArray[np.bool_]) -> Array:
+        noise = info["noise"] ** 2
+        excess = self._moment / noise - self.values["weakening"]
+        explained = info["innovation_variance"] / noise - 1.0
+        return _ratio_of_traces(excess, explained, arrived)
+
+
+class InnovationFadingPrinted(InnovationFading):
+    """The printed rule: traces that add m^2 to rad^2, and S where H P H^T belongs (SPEC 6)."""
+
+    def _fading(self, info: Mapping[str, Any], arrived: NDArray[np.bool_]) -> Array:
+        excess = self._moment - self.values["weakening"] * info["noise"] ** 2
+        return _ratio_of_traces(excess, info["innovation_variance"], arrived)
+
+
+class HuberGate(Agent):
+    """Huber weights from the pending innovation, and rejection beyond a gate.
+
+    e = nu / sqrt(S) per channel; the noise variance is divided by w = min(1, k / |e|),
+    and the channel rejected where |e| exceeds the gate, until it has been rejected
+    five times running.
+    """
+
+    parameters = (
+        Parameter("threshold", 0.5, 6.0, 1.345),
+        Parameter("gate", 3.0, 1000.0, 30.0),
+        PROCESS_NOISE,
+    )
+
+    def reset(self, contest: Contest) -> None:
+        super().reset(contest)
+        self._rejections = np.zeros((contest.batch, len(contest.sensor.channels)), np.int64)
+
+    def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
+        size = np.abs(info["innovation"]) / np.sqrt(info["innovation_variance"])
+        size = np.nan_to_num(size)
+        factor = np.sqrt(np.maximum(1.0, size / self.values["threshold"]))
+        rejected = (size > self.values["gate"]) & (self._rejections < REACQUIRE_AFTER)
+        self._rejections = np.where(rejected, self._rejections + 1, 0)
+        factor = np.where(rejected, REJECTED, factor)
+        return knob_actions(self.contest, 1.0, self.values["process_noise"], factor)
+
+
+class InnovationNoise(Agent):
+    """Measurement noise from the innovations' running mean square, behind an outlier gate.
+
+    Per channel C <- C + (min(nu^2, g^2 S') - C) / window with S' = H P H^T + R', and
+    R' = C - H P H^T, kept within [R / 25, 10^4 R]. An innovation beyond the gate g has its
+    own noise raised until it lies on the gate.
+    """
+
+    parameters = (
+        Parameter("window", 2.0, 100.0, 10.0),
+        Parameter("gate", 1.5, 10.0, 3.0),
+        PROCESS_NOISE,
+    )
+
+    def reset(self, contest: Contest) -> None:
+        super().reset(contest)
+        self._mean_square = np.full((contest.batch, len(contest.sensor.channels)), np.nan)
+
+    def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
+        told = info["noise"] ** 2
+        explained = np.maximum(info["innovation_variance"] - told, 0.0)
+        squared, gate = info["innovation"] ** 2, self.values["gate"] ** 2
+        before = np.where(np.isnan(self._mean_square), told + explained, self._mean_square)
+        believed = explained + self._noise(before, explained, told)
+        step = (np.minimum(squared, gate * believed) - before) / self.values["window"]
+        arrived = ~np.isnan(squared)
+        self._mean_square = np.where(arrived, before + step, self._mean_square)
+        noise = self._noise(before + step, explained, told)
+        noise = np.maximum(noise, squared / gate - explained)
+        factor = np.where(arrived, np.sqrt(noise / told), 1.0)
+        return knob_actions(self.contest, 1.0, self.values["process_noise"], factor)
+
+    @staticmethod
+    def _noise(mean_square: Array, explained: Array, told: Array) -> Array:
+        return np.clip(mean_square - explained, 0.04 * told, 1e4 * told)
+
+
+def _ratio_of_traces(top: Array, bottom: Array, arrived: NDArray[np.bool_]) -> Array:
+    """max(1, trace ratio) over the channels that arrived; 1 where none did."""
+    top = np.where(arrived, top, 0.0).sum(axis=1)
+    bottom = np.where(arrived, bottom, 0.0).sum(axis=1)
+    ratio = np.divide(top, bottom, out=np.ones_like(top), where=bottom > 0.0)
+    return np.maximum(ratio, 1.0)

@@ -1,0 +1,176 @@
+"""Settings of a training run: typed, read from TOML, checked at the door."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tomllib
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from ..names import unknown
+from .policy import ACTIVATIONS
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What every algorithm needs; the defaults are in `agents/config/ALGORITHM.toml`."""
+
+    num_envs: int
+    """Sub-environments stepped together."""
+    hidden: list[int]
+    """Width of each hidden layer; policy and value have a network each."""
+    activation: str
+    """"tanh" or "relu"."""
+    learning_rate: float
+    """Step size of the optimiser at the start ..."""
+    final_learning_rate: float
+    """... and at the end, linear in between; set both alike for a constant rate."""
+    gamma: float
+    """Discount per step: the agent looks about 1 / (1 - gamma) steps ahead."""
+    reward_limit: float
+    """The environment's worst reward for one step (3 for kfenv's "improvement", 10 for "rmse").
+    Learning sees rewards times 1 - gamma, so that values are mean rewards, and cut to this limit.
+    A lost track, charged at once for all steps to come, so costs what they would discounted."""
+    checkpoint_every: int
+    """Environment steps between two checkpoints."""
+    torch_threads: int
+    """Processor cores that the gradient computation may use."""
+
+    @property
+    def block(self) -> int:
+        """Environment steps between two updates; a run is a whole number of them."""
+        raise NotImplementedError
+
+    def __post_init__(self) -> None:
+        """Check what the types cannot say."""
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, int) and value < 1:
+                _refuse(field.name, value, "a positive whole number")
+        if not self.hidden or min(self.hidden) < 1:
+            _refuse("hidden", self.hidden, "a list of positive layer widths")
+        if self.activation not in ACTIVATIONS:
+            raise ValueError(unknown("activation", self.activation, ACTIVATIONS))
+        _within(self, 0.0, 1.0, "learning_rate", "final_learning_rate", "gamma")
+        _within(self, 0.0, math.inf, "reward_limit")
+
+
+@dataclass(frozen=True)
+class PPOSettings(Settings):
+    """Proximal policy optimisation."""
+
+    n_steps: int
+    """Steps of each sub-environment in a rollout."""
+    minibatches: int
+    """Parts that a rollout is cut into for the gradient: few and large ones are cheap."""
+    epochs: int
+    """Passes over each rollout."""
+    gae_lambda: float
+    """Bias (0) against variance (1) of the advantage."""
+    clip_range: float
+    """How far an update may move the probability of an action."""
+    entropy_coefficient: float
+    """Reward for staying random."""
+    value_coefficient: float
+    """Weight of the value loss."""
+    max_gradient_norm: float
+    """Longer gradients are shortened to this."""
+    log_std_init: float
+    """Logarithm of the first standard deviation of actions."""
+
+    @property
+    def block(self) -> int:
+        """One rollout."""
+        return self.num_envs * self.n_steps
+
+    def __post_init__(self) -> None:
+        """Check what the types cannot say."""
+        super().__post_init__()
+        _within(self, 0.0, 1.0, "gae_lambda", "clip_range")
+        if self.block % self.minibatches or self.block < 2 * self.minibatches:
+            raise ValueError(
+                f"minibatches = {self.minibatches} does not divide the rollout of {self.block} "
+                "steps (num_envs times n_steps) into parts of two or more: choose a divisor"
+            )
+
+
+@dataclass(frozen=True)
+class SACSettings(Settings):
+    """Soft actor-critic."""
+
+    train_every: int
+    """Steps of each sub-environment between two updates."""
+    gradient_steps: int
+    """Gradient steps in an update."""
+    batch_size: int
+    """Transitions in a gradient step."""
+    buffer_size: int
+    """Transitions kept."""
+    learning_starts: int
+    """Random steps before the first update."""
+    tau: float
+    """How fast the target networks follow."""
+
+    @property
+    def block(self) -> int:
+        """The steps between two updates."""
+        return self.num_envs * self.train_every
+
+    def __post_init__(self) -> None:
+        """Check what the types cannot say."""
+        super().__post_init__()
+        _within(self, 0.0, 1.0, "tau")
+
+
+ALGORITHMS: dict[str, type[Settings]] = {"ppo": PPOSettings, "sac": SACSettings}
+
+
+def read_settings(
+    algorithm: str, config_path: str | Path | None = None, **overrides: Any
+) -> Settings:
+    """Return the bundled settings, changed by the TOML file and then by `overrides`."""
+    if algorithm not in ALGORITHMS:
+        raise ValueError(unknown("algorithm", algorithm, ALGORITHMS))
+    values = tomllib.loads((files(__package__) / "config" / f"{algorithm}.toml").read_text())
+    if config_path is not None:
+        values |= _read_toml(Path(config_path))
+    return _typed(ALGORITHMS[algorithm], values | overrides)
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is not a TOML file ({error}): correct that line") from None
+
+
+def _typed(kind: type[Settings], values: dict[str, Any]) -> Settings:
+    """Build settings from untrusted values; raise ValueError naming the key that is wrong."""
+    types = get_type_hints(kind)
+    for name, value in values.items():
+        if name not in types:
+            raise ValueError(unknown("setting", name, types))
+        if types[name] is float and type(value) is int:
+            values[name] = float(value)
+        elif not _is_a(value, types[name]):
+            _refuse(name, value, getattr(types[name], "__name__", str(types[name])))
+    return kind(**values)
+
+
+def _is_a(value: Any, kind: Any) -> bool:
+    if kind == list[int]:
+        return isinstance(value, list) and all(type(item) is int for item in value)
+    return type(value) is kind
+
+
+def _within(settings: Settings, low: float, high: float, *names: str) -> None:
+    for name in names:
+        if not low <= getattr(settings, name) <= high:
+            _refuse(name, getattr(settings, name), f"a number from {low:g} to {high:g}")
+
+
+def _refuse(name: str, value: Any, wanted: str) -> None:
+    raise ValueError(f"setting {name} = {value!r} must be {wanted}")

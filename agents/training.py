@@ -1,0 +1,494 @@
+"""Trains an agent with stable-baselines3: checkpoints, resumable, repeatable.
+
+The output folder holds
+
+    config.json        all that is needed to repeat the run
+    checkpoint.zip     the stable-baselines3 model with its optimiser
+    replay_buffer.pkl  SAC alone: the transitions it learns from, unless they are too large
+    policy.npz         the policy as plain arrays, for `NumpyPolicy`
+    training.json      how far the run has come, its speed and its learning curve
+    tensorboard/       the same and more for TensorBoard
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import signal
+import threading
+import time
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict
+from importlib import import_module, metadata
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.vector import AutoresetMode
+
+try:
+    import torch
+    from stable_baselines3 import PPO, SAC
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.logger import configure
+    from stable_baselines3.common.utils import LinearSchedule
+except ImportError as error:
+    raise ImportError(
+        f"training needs stable-baselines3 and torch ({error}): pip install 'kfenv[train]'"
+    ) from error
+
+from .files import write_json, written_whole
+from .policy import export_policy
+from .progress import TrainingProgress
+from .settings import PPOSettings, SACSettings, Settings, read_settings
+from .stable_baselines import VectorEnvAdapter
+
+MODELS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
+LARGEST_REPLAY_BUFFER = 2**29  # bytes that a checkpoint may take
+CURVE_POINTS = 200
+
+
+class TrainingInterrupted(KeyboardInterrupt):
+    """Ctrl-C in a training run; the checkpoint is saved, and the message says how to go on."""
+
+
+def train(
+    env_id: str,
+    *,
+    algorithm: str = "ppo",
+    steps: int,
+    seed: int,
+    output: str | Path,
+    env_kwargs: Mapping[str, Any] | None = None,
+    num_envs: int | None = None,
+    config_path: str | Path | None = None,
+    progress: bool = True,
+    resume: bool = False,
+) -> Path:
+    """Train on `env_id` and return the path of the exported policy.
+
+    Args:
+        env_id: Id of a registered environment, with a flat `Box` to observe and to act.
+        algorithm: "ppo" or "sac".
+        steps: Environment steps over all sub-environments, rounded up to whole updates.
+        seed: The same seed gives the same policy, on the same machine and libraries.
+        output: A new or empty folder, or with `resume` that of an earlier run.
+        env_kwargs: Options of the environment. An environment of kfenv is trained on its reward
+            "improvement", which has far less variance than the default, unless one is given.
+        num_envs: Overrides the setting of that name.
+        config_path: TOML file with settings that differ from the bundled ones.
+        progress: Show a progress bar if the standard error stream is a terminal.
+        resume: Go on from the checkpoint in `output`. Everything but `steps` must be as before.
+            The environments start new episodes, so the policy differs from an uninterrupted run's.
+
+    Raises:
+        TrainingInterrupted: Ctrl-C. The checkpoint is saved; a second Ctrl-C stops without it.
+        FileExistsError: `output` holds files already and `resume` is not set.
+        ValueError: An argument or a setting is wrong; the message says which and what to do.
+    """
+    _check_counts(steps, seed)
+    settings = read_settings(algorithm, config_path, **_given(num_envs=num_envs))
+    env_kwargs = with_training_reward(env_id, env_kwargs or {})
+    config = _config(env_id, env_kwargs, algorithm, settings, seed, steps)
+    folder = Path(output)
+    _admit(folder, config, resume)
+    env = make_training_env(env_id, env_kwargs, settings)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_json(folder / "config.json", config)
+        with _torch_threads(settings.torch_threads):
+            _run(folder, config, settings, env, progress)
+    finally:
+        env.close()
+    return folder / "policy.npz"
+
+
+def training_seed(seed: int, steps_done: int = 0) -> int:
+    """Seed for the episodes and the learning of a run that has come to `steps_done`.
+
+    It depends on the steps so that a resumed run does not repeat the episodes it began with.
+    Evaluation draws from spawned seed sequences, which plain seeds never meet.
+    """
+    return int(np.random.SeedSequence([seed, steps_done]).generate_state(1)[0])
+
+
+def with_training_reward(env_id: str, env_kwargs: Mapping[str, Any]) -> dict[str, Any]:
+    """Add reward="improvement" for an environment of kfenv, unless a reward is chosen."""
+    default = {"reward": "improvement"} if _find_spec(env_id).namespace == "kfenv" else {}
+    return default | dict(env_kwargs)
+
+
+def make_training_env(
+    env_id: str, env_kwargs: Mapping[str, Any], settings: Settings
+) -> VectorEnvAdapter:
+    """Make a same-step vector environment for stable-baselines3: native where there is one."""
+    same_step = {"autoreset_mode": AutoresetMode.SAME_STEP}
+    if _find_spec(env_id).vector_entry_point is None:
+        how = {"vectorization_mode": "sync", "vector_kwargs": same_step}
+    else:
+        how = {"vectorization_mode": "vector_entry_point", **same_step}
+    vector = gym.make_vec(env_id, num_envs=settings.num_envs, **how, **env_kwargs)
+    env = VectorEnvAdapter(vector, 1.0 - settings.gamma, settings.reward_limit)
+    for name in ("observation_space", "action_space"):
+        space = getattr(env, name)
+        if not isinstance(space, gym.spaces.Box) or len(space.shape) != 1:
+            env.close()
+            raise ValueError(f"cannot train on {env_id}: its {name} is {space}, not a flat Box")
+    return env
+
+
+def _find_spec(env_id: str) -> EnvSpec:
+    module, _, name = env_id.rpartition(":")
+    try:
+        if module:
+            import_module(module)
+        return gym.spec(name)
+    except (gym.error.Error, ModuleNotFoundError) as error:
+        raise ValueError(f"unknown environment {env_id!r}: {error}") from None
+
+
+def _check_counts(steps: int, seed: int) -> None:
+    if steps < 1:
+        raise ValueError(f"steps = {steps} must be a positive number of environment steps")
+    if seed < 0:
+        raise ValueError(f"seed = {seed} must be zero or a positive whole number")
+
+
+def _given(**values: Any) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if value is not None}
+
+
+@contextmanager
+def _torch_threads(number: int) -> Iterator[None]:
+    former = torch.get_num_threads()
+    torch.set_num_threads(number)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(former)
+
+
+# The output folder
+
+
+def _config(
+    env_id: str,
+    env_kwargs: Mapping[str, Any],
+    algorithm: str,
+    settings: Settings,
+    seed: int,
+    steps: int,
+) -> dict[str, Any]:
+    """All that is needed to repeat a run, as plain JSON."""
+    packages = ("kfenv", "numpy", "gymnasium", "stable_baselines3", "torch")
+    config = {
+        "env_id": env_id,
+        "env_kwargs": dict(env_kwargs),
+        "algorithm": algorithm,
+        "seed": seed,
+        "steps": steps,
+        "settings": asdict(settings),
+        "versions": {name: metadata.version(name) for name in packages},
+    }
+    config["versions"]["python"] = platform.python_version()
+    return json.loads(json.dumps(config, default=_as_json))
+
+
+def _as_json(value: Any) -> Any:
+    """Paths and arrays as plain values; other objects in their own words."""
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return repr(value)
+
+
+def _admit(folder: Path, config: Mapping[str, Any], resume: bool) -> None:
+    """Raise unless the run may write into `folder`; touch nothing."""
+    if resume:
+        return _check_same_run(folder, config)
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise FileExistsError(
+            f"{folder} exists and is not an empty folder: choose another output, or continue "
+            "the run in it with --resume (resume=True)"
+        )
+
+
+def _check_same_run(folder: Path, config: Mapping[str, Any]) -> None:
+    """Raise unless the run in `folder` was started with `config`, `steps` and versions apart."""
+    try:
+        former = _flat(json.loads((folder / "config.json").read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        raise FileNotFoundError(
+            f"{folder} holds no run to resume (no config.json): check the path, or start a new "
+            "run without --resume"
+        ) from None
+    except (ValueError, AttributeError):
+        raise ValueError(
+            f"{folder / 'config.json'} is damaged: start a new run in another folder"
+        ) from None
+    present = _flat(config)
+    for key in sorted(former.keys() | present.keys()):
+        if former.get(key) != present.get(key):
+            raise ValueError(
+                f"cannot resume {folder}: {key} was {former.get(key)!r} and is now "
+                f"{present.get(key)!r}; give the former value, or choose another output"
+            )
+
+
+def _flat(config: Mapping[str, Any]) -> dict[str, Any]:
+    """The entries that a resumed run must share, with one-level names."""
+    flat = {key: config.get(key) for key in ("env_id", "algorithm", "seed")}
+    for group in ("env_kwargs", "settings"):
+        flat |= {f"{group}.{key}": value for key, value in config.get(group, {}).items()}
+    return flat
+
+
+# The model
+
+
+def _new_model(settings: Settings, env: VectorEnvAdapter, seed: int) -> BaseAlgorithm:
+    """Make an untrained model."""
+    rate = LinearSchedule(settings.learning_rate, settings.final_learning_rate, 1.0)
+    policy_kwargs: dict[str, Any] = {
+        "net_arch": settings.hidden,
+        "activation_fn": {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}[settings.activation],
+    }
+    common: dict[str, Any] = {
+        "policy": "MlpPolicy",
+        "env": env,
+        "learning_rate": rate,
+        "gamma": settings.gamma,
+        "policy_kwargs": policy_kwargs,
+        "stats_window_size": max(100, settings.num_envs),
+        "seed": seed,
+        "device": "cpu",
+    }
+    if isinstance(settings, PPOSettings):
+        policy_kwargs["log_std_init"] = settings.log_std_init
+        return PPO(**common, **_ppo_arguments(settings))
+    assert isinstance(settings, SACSettings)
+    return SAC(**common, **_sac_arguments(settings))
+
+
+def _ppo_arguments(settings: PPOSettings) -> dict[str, Any]:
+    return {
+        "n_steps": settings.n_steps,
+        "batch_size": settings.block // settings.minibatches,
+        "n_epochs": settings.epochs,
+        "gae_lambda": settings.gae_lambda,
+        "clip_range": settings.clip_range,
+        "ent_coef": settings.entropy_coefficient,
+        "vf_coef": settings.value_coefficient,
+        "max_grad_norm": settings.max_gradient_norm,
+    }
+
+
+def _sac_arguments(settings: SACSettings) -> dict[str, Any]:
+    return {
+        "train_freq": settings.train_every,
+        "gradient_steps": settings.gradient_steps,
+        "batch_size": settings.batch_size,
+        "buffer_size": settings.buffer_size,
+        "learning_starts": settings.learning_starts,
+        "tau": settings.tau,
+    }
+
+
+def _load_model(folder: Path, algorithm: str, env: VectorEnvAdapter) -> BaseAlgorithm:
+    """Load the checkpoint, and the replay buffer if there is one."""
+    try:
+        model = MODELS[algorithm].load(folder / "checkpoint.zip", env=env, device="cpu")
+        if isinstance(model, SAC) and (folder / "replay_buffer.pkl").exists():
+            model.load_replay_buffer(folder / "replay_buffer.pkl")
+        elif isinstance(model, SAC):
+            # Without its memory it first gathers a new one, as at the start.
+            model.learning_starts += model.num_timesteps
+    except Exception as error:  # a damaged archive can fail in any of its readers
+        raise ValueError(
+            f"the checkpoint in {folder} is damaged ({type(error).__name__}): start a new run in "
+            "another folder"
+        ) from error
+    return model
+
+
+# The run
+
+
+def _run(
+    folder: Path,
+    config: Mapping[str, Any],
+    settings: Settings,
+    env: VectorEnvAdapter,
+    progress: bool,
+) -> None:
+    """Train from the start or the checkpoint to the last step, and save."""
+    algorithm, seed = config["algorithm"], config["seed"]
+    if (folder / "checkpoint.zip").exists():
+        model = _load_model(folder, algorithm, env)
+        model.set_random_seed(training_seed(seed, model.num_timesteps))
+    else:
+        model = _new_model(settings, env, training_seed(seed))
+    model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
+    total = math.ceil(config["steps"] / settings.block) * settings.block
+    with (
+        _ctrl_c_as_event() as stop,
+        TrainingProgress(algorithm, total, model.num_timesteps, shown=progress) as bar,
+    ):
+        keeper = _Bookkeeper(folder, config, settings, total, stop, bar)
+        model.learn(
+            max(0, total - model.num_timesteps),
+            callback=keeper,
+            log_interval=1 if algorithm == "ppo" else settings.num_envs,
+            reset_num_timesteps=False,
+        )
+        keeper.finish()
+    model.logger.close()
+    if model.num_timesteps < total:
+        raise TrainingInterrupted(
+            f"stopped after {model.num_timesteps} of {total} steps; the checkpoint is in {folder}: "
+            "give the same command with --resume (resume=True) to go on"
+        )
+
+
+@contextmanager
+def _ctrl_c_as_event() -> Iterator[threading.Event]:
+    """Turn the first Ctrl-C into an event, so that no update is cut in two; the second one acts."""
+    stop = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stop  # only the main thread may handle signals
+        return
+    former = signal.getsignal(signal.SIGINT)
+
+    def request_stop(*_: Any) -> None:
+        stop.set()
+        signal.signal(signal.SIGINT, former)
+
+    signal.signal(signal.SIGINT, request_stop)
+    try:
+        yield stop
+    finally:
+        signal.signal(signal.SIGINT, former)
+
+
+class _Bookkeeper(BaseCallback):
+    """Shows progress, keeps the learning curve, writes checkpoints and stops on request.
+
+    A checkpoint describes the moment before a rollout: weights and step count belong together
+    there. A rollout that is cut short is forgotten.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        config: Mapping[str, Any],
+        settings: Settings,
+        total: int,
+        stop: threading.Event,
+        bar: TrainingProgress,
+    ) -> None:
+        super().__init__()
+        self.folder, self.config, self.settings = folder, config, settings
+        self.total, self.stop, self.bar = total, stop, bar
+        former = _read_training(folder)
+        self.curve: list[dict[str, Any]] = former.get("curve", [])
+        self.seconds_before: float = former.get("seconds", 0.0)
+        self.reward_scale = 1.0 - settings.gamma
+        self.reward_sum, self.reward_count = 0.0, 0
+
+    def _on_training_start(self) -> None:
+        self.started = time.monotonic()
+        self.before_rollout = self.saved_at = self.model.num_timesteps
+        self.curve = [row for row in self.curve if row["steps"] <= self.saved_at]
+        self.keeps_buffer = _buffer_bytes(self.model) <= LARGEST_REPLAY_BUFFER
+        if not self.keeps_buffer:
+            warnings.warn(
+                "the replay buffer is too large to be saved, so a resumed run will gather a new "
+                "one: set a smaller buffer_size to keep it",
+                stacklevel=2,
+            )
+
+    def _on_rollout_start(self) -> None:
+        self.before_rollout = self.model.num_timesteps
+        if self.before_rollout - self.saved_at >= self.settings.checkpoint_every:
+            self.save()
+
+    def _on_step(self) -> bool:
+        self.reward_sum += float(self.locals["rewards"].mean()) / self.reward_scale
+        self.reward_count += 1
+        self.bar.advance(self.model.num_timesteps)
+        return not self.stop.is_set()
+
+    def _on_rollout_end(self) -> None:
+        steps = self.model.num_timesteps
+        former = self.curve[-1]["steps"] if self.curve else 0
+        if steps - former >= self.total / CURVE_POINTS or steps >= self.total:
+            row = self.row()
+            self.curve.append(row)
+            self.logger.record("rollout/reward_mean", row["mean_reward"])
+            self.bar.show(row["mean_return"], row["mean_reward"])
+            self.reward_sum, self.reward_count = 0.0, 0
+
+    def row(self) -> dict[str, Any]:
+        """A point of the learning curve."""
+        episodes = list(self.model.ep_info_buffer or [])
+        return {
+            "steps": self.model.num_timesteps,
+            "seconds": round(self.seconds(), 3),
+            "mean_reward": self.reward_sum / self.reward_count,
+            "mean_return": float(np.mean([e["r"] for e in episodes])) if episodes else None,
+            "mean_length": float(np.mean([e["l"] for e in episodes])) if episodes else None,
+        }
+
+    def seconds(self) -> float:
+        """Time spent on the run, earlier parts included."""
+        return self.seconds_before + time.monotonic() - self.started
+
+    def finish(self) -> None:
+        """Save the end of the run, or the moment before the rollout that was cut short."""
+        if self.model.num_timesteps < self.total:
+            self.model.num_timesteps = self.before_rollout
+        self.save()
+
+    def save(self) -> None:
+        """Write checkpoint, policy and record, each whole or not at all."""
+        self.saved_at = steps = self.model.num_timesteps
+        finished, seconds = steps >= self.total, self.seconds()
+        if isinstance(self.model, SAC) and self.keeps_buffer:
+            with written_whole(self.folder / "replay_buffer.pkl") as file:
+                self.model.save_replay_buffer(file)
+        with written_whole(self.folder / "checkpoint.zip") as file:
+            self.model.save(file)
+        about = {**self.config, "steps_done": steps, "finished": finished}
+        export_policy(self.model, self.folder / "policy.npz", about)
+        record = {
+            "finished": finished,
+            "steps": steps,
+            "seconds": seconds,
+            "steps_per_second": steps / seconds,
+            "mean_return": self.curve[-1]["mean_return"] if self.curve else None,
+            "curve": self.curve,
+        }
+        write_json(self.folder / "training.json", record)
+
+
+def _read_training(folder: Path) -> dict[str, Any]:
+    """The record of the run so far; empty where there is none."""
+    try:
+        return json.loads((folder / "training.json").read_text(encoding="utf-8"))
+    except (FileNotFoundError, ValueError):
+        return {}
+
+
+def _buffer_bytes(model: BaseAlgorithm) -> int:
+    buffer = getattr(model, "replay_buffer", None)
+    if buffer is None:
+        return 0
+    return sum(value.nbytes for value in vars(buffer).values() if isinstance(value, np.ndarray))
