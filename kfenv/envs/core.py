@@ -252,6 +252,11 @@ class Core:
         """Whether an update has been made since the episode began."""
         return self.index > 0
 
+    def position_covariance(self) -> Array:
+        """A fresh (B, 3, 3): the posterior covariance of the position, m^2."""
+        rows = self._update.factor[:, self._position]
+        return rows @ rows.transpose(0, 2, 1)
+
     def feature_names(self) -> tuple[str, ...]:
         """What each component of the observation is."""
         names = []
