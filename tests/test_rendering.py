@@ -16,7 +16,7 @@ from kfenv.models.radar import radar
 from kfenv.scenarios.recording import FaultInterval
 
 ACTION = np.array([0.1, 0.2, -0.1, 0.3, 0.0])
-SHORT = {"duration": 20.0, "rate": 2.0}
+SHORT = {"duration": 8.0, "rate": 1.0}
 
 
 @pytest.fixture
@@ -97,7 +97,7 @@ def test_a_sensor_that_measures_no_position_is_drawn_without_dots(make, monkeypa
     monkeypatch.setattr("kfenv.envs.rendering.measured_positions", lambda *_: None)
     env = make(recording=replace(one_episode(), truth=None), actions="range_noise")
     env.reset()
-    for _ in range(20):  # long enough to leave the first view
+    for _ in range(8):  # long enough to leave the first view
         env.step(np.zeros(1))
         assert env.render() is not None
 
