@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -19,7 +21,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Learn to tune an adaptive Kalman filter, and contest the classical ways of doing so.",
 )
-console = Console()
+# Rich takes 80 columns where there is no terminal, too few for the table of results.
+WIDTH = None if sys.stdout.isatty() else 120
+console = Console(width=WIDTH, soft_wrap=True)
 
 DEFAULT_AGENTS = (
     "innovation-fading", "innovation-fading-printed", "huber-gate", "innovation-noise",
@@ -35,9 +39,7 @@ Track = Annotated[
 ]
 Option = Annotated[
     list[str] | None,
-    typer.Option(
-        "--option", help="KEY=VALUE, any other keyword of the environment, value in JSON."
-    ),
+    typer.Option("--option", help="KEY=VALUE, any other keyword of ENV, value in JSON."),
 ]
 Resume = Annotated[bool, typer.Option(help="Go on with what is in the output folder.")]
 
@@ -109,7 +111,7 @@ def evaluate(
     option: Option = None,
     tuning_episodes: Annotated[
         int,
-        typer.Option(min=1, help="Episodes on which parameters are tuned, none of them tested."),
+        typer.Option(min=1, help="Episodes that parameters are tuned on, none tested."),
     ] = 32,
     tuning_trials: Annotated[
         int, typer.Option(min=0, help="Settings tried per agent; 0 keeps the literature's values.")
@@ -222,16 +224,20 @@ def _results_table(results: list[dict[str, Any]]) -> Table:
     table = Table(
         "agent", "median", "mean", "std", "p95", "lost", "ANEES",
         "below fixed, %", "against fixed-tuned, m",
+        box=SIMPLE_HEAD,
         title="Position RMSE on unseen episodes, m (medians with 95 % intervals)",
         caption="lost: tracks lost, %; ANEES: 1 if consistent, lost tracks left out",
     )  # fmt: skip
+    for column in table.columns:
+        column.no_wrap = True
     for column in table.columns[1:]:
         column.justify = "right"
     for r in sorted(results, key=lambda result: result["rmse_median"]):
         better = [100.0 * r[key] for key in ("improvement_over_fixed", "ci_low", "ci_high")]
         tuned = [r[f"difference_{key}"] for key in ("to_fixed_tuned", "ci_low", "ci_high")]
         table.add_row(
-            r["agent"], *(_short(r[key]) for key in ("rmse_median", "rmse", "rmse_std", "rmse_p95")),
+            r["agent"],
+            *(_short(r[key]) for key in ("rmse_median", "rmse", "rmse_std", "rmse_p95")),
             f"{100.0 * r['track_loss']:.0f}", "-" if r["anees"] is None else _short(r["anees"]),
             f"{better[0]:+.0f} ({better[1]:+.0f}, {better[2]:+.0f})",
             f"{tuned[0]:+.0f} ({tuned[1]:+.0f}, {tuned[2]:+.0f})",

@@ -1,4 +1,4 @@
-"""A fair contest: every agent on the same episodes, with confidence intervals on paired differences."""
+"""A fair contest: all agents on the same episodes, with intervals on paired differences."""
 
 from __future__ import annotations
 
@@ -51,6 +51,8 @@ class Contest:
                 raise ValueError(f"{name} must be at least {least}, got {getattr(self, name)}.")
         names = [make_agent(agent).name for agent in self.agents]
         for name in names:
+            if "/" in name:
+                raise ValueError(f"An agent's name must not hold a slash: {name!r}.")
             if names.count(name) > 1:
                 raise ValueError(
                     f"Two agents are called {name!r}: name one of them with OTHER=PATH."
@@ -74,6 +76,7 @@ def evaluate(
         FileExistsError: if the folder holds anything and ``resume`` is not set.
         ValueError: if it holds another contest, or an agent is unknown.
     """
+    draw_episodes(contest.env_id, contest.env_kwargs, "test", contest.seed, 1)  # complain first
     _admit(output, contest, resume)
     names = list(dict.fromkeys((*YARDSTICKS, *contest.agents)))
     todo = [name for name in names if not _scores_path(output, name).exists()]

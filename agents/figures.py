@@ -17,7 +17,10 @@ from .registry import make_agent
 from .rollout import draw_episodes, rollout
 
 # Okabe and Ito's palette: told apart with any colour vision.
-COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7", "#999999")
+COLOURS = (
+    "#000000", "#E69F00", "#CC79A7", "#8C6D8C", "#56B4E9", "#0072B2", "#009E73", "#999999",
+    "#D55E00", "#7F3B08", "#F0E442",
+)  # fmt: skip
 SHADES = {"jamming": "#D55E00", "signal loss": "#777777"}
 
 
@@ -39,21 +42,27 @@ def _ranked(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return sorted(results, key=lambda result: result["rmse_median"])
 
 
+def _colour(result: dict[str, Any], results: Sequence[dict[str, Any]]) -> str:
+    """An agent keeps its colour in all figures of a contest."""
+    return COLOURS[[r["agent"] for r in results].index(result["agent"]) % len(COLOURS)]
+
+
 def _distributions(results: Sequence[dict[str, Any]], output: Path) -> Figure:
     """Cumulative distribution of the episodes' RMSE."""
-    figure = Figure((8.0, 4.8), layout="constrained")
+    figure = Figure((10.0, 4.8), layout="constrained")
     axes = figure.subplots()
-    for i, result in enumerate(_ranked(results)):
+    for result in _ranked(results):
         rmse = np.sort(read_scores(output, result["given_as"]).rmse)
         share = np.arange(1, len(rmse) + 1) / len(rmse)
-        label = f"{result['agent']}  ({result['rmse_median']:.3g} m)"
-        axes.step(rmse, share, where="post", color=COLOURS[i % len(COLOURS)], label=label, lw=1.6)
+        label = f"{result['agent']}  ({result['rmse_median']:.0f} m)"
+        axes.step(rmse, share, where="post", color=_colour(result, results), label=label, lw=1.6)
     axes.set_xscale("log")
     axes.set_xlabel("position RMSE of an episode, m")
     axes.set_ylabel("share of episodes")
     axes.set_ylim(0.0, 1.0)
     axes.set_title(f"{results[0]['env']}: {results[0]['episodes']} unseen episodes", loc="left")
-    axes.legend(frameon=False, title="agent (median)", loc="lower right", fontsize=9)
+    axes.legend(frameon=False, title="agent (median)", loc="center left",
+                bbox_to_anchor=(1.0, 0.5), fontsize=9)  # fmt: skip
     _clean(axes)
     return figure
 
@@ -88,13 +97,13 @@ def _episode(contest: Contest, results: Sequence[dict[str, Any]], output: Path) 
     )[[chosen]]
     figure = Figure((9.0, 6.0), layout="constrained")
     top, bottom = figure.subplots(2, sharex=True, height_ratios=(3, 2))
-    for i, result in enumerate(_shown(results)):
+    for result in _shown(results):
         agent = make_agent(result["given_as"])
         if not isinstance(agent, Learned):
             agent = agent.with_values(read_values(output, result["given_as"]))
         scores = rollout(agent, contest.env_id, contest.env_kwargs, recording, contest.seed, True)
-        time = _decision_times(recording.time, len(scores.error))
-        style = {"color": COLOURS[i], "lw": 1.3, "label": result["agent"]}
+        time = scores.time
+        style = {"color": _colour(result, results), "lw": 1.3, "label": result["agent"]}
         top.plot(time, scores.error[:, 0], **style)
         bottom.plot(time, scores.factors[:, 0, 2:].prod(axis=1) ** (1.0 / 3.0), **style)
     _shade(top, recording.faults[0])
@@ -115,11 +124,6 @@ def _shown(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     always = ("fixed", "fixed-tuned", "clairvoyant")
     others = [r for r in _ranked(results) if r["agent"] not in always][:3]
     return [r for r in results if r["agent"] in always] + others
-
-
-def _decision_times(time: np.ndarray, decisions: int) -> np.ndarray:
-    interval = -(-len(time) // decisions)
-    return time[np.minimum(np.arange(1, decisions + 1) * interval, len(time)) - 1]
 
 
 def _shade(axes: Axes, faults: Sequence[Any], labelled: bool = True) -> None:

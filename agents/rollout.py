@@ -55,13 +55,15 @@ class Scores:
             distance for every remaining instant.
         lost: (N,) whether the track was lost.
         nees: (N,) mean position NEES per degree of freedom until the end or the loss.
-        error: (T, N) position error, m, if traced.
-        factors: (T, N, K) all knobs' factors, if traced.
+        time: (D,) end of each decision, s, if traced.
+        error: (D, N) position error then, m, if traced.
+        factors: (D, N, K) all knobs' factors, if traced.
     """
 
     rmse: Array
     lost: NDArray[np.bool_]
     nees: Array
+    time: Array | None = None
     error: Array | None = None
     factors: Array | None = None
 
@@ -89,19 +91,19 @@ def rollout(
     contest = (core.knobs, scenario.sensor, core.batch, seed, recording, options.decision_interval)
     agent.reset(Contest(*contest))
     running, lost = np.ones(core.batch, bool), np.zeros(core.batch, bool)
-    errors, factors = [], []
+    times, errors, factors = [], [], []
     while running.any():
         action = np.clip(agent.act(core.observation(), core.information()), -1.0, 1.0)
         _, gone, ended = core.step(action, running)
         lost |= gone
         running &= ~(gone | ended)
         if trace:
+            times.append(recording.time[min(core.index.max(), len(recording.time)) - 1])
             errors.append(core.error.copy())
             factors.append(core.factors.copy())
     steps = len(recording.time)
     scored = np.where(lost, core.index + 1, steps)
     squared = core.total_squared_error + (steps - scored) * scenario.lost_distance**2
-    return Scores(
-        np.sqrt(squared / steps), lost, core.total_nees / scored / 3.0,
-        np.array(errors) if trace else None, np.array(factors) if trace else None,
-    )  # fmt: skip
+    own_scores = (np.sqrt(squared / steps), lost, core.total_nees / scored / 3.0)
+    traces = (np.array(times), np.array(errors), np.array(factors)) if trace else ()
+    return Scores(*own_scores, *traces)

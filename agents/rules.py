@@ -29,7 +29,7 @@ class InnovationFading(Agent):
 
     parameters = (
         Parameter("forgetting", 0.5, 1.0, 0.95),
-        Parameter("weakening", 1.0, 1000.0, 1.5),
+        Parameter("weakening", 1.0, 1e6, 1.5),
         PROCESS_NOISE,
     )
 

@@ -1,0 +1,162 @@
+"""A contest is paired, repeatable, resumable and leaves its folder whole."""
+
+import json
+
+import numpy as np
+import pytest
+
+import kfenv  # noqa: F401
+from kfenv.agents.evaluation import Contest, evaluate, median_interval, read_scores
+from kfenv.agents.registry import make_agent
+from kfenv.agents.rollout import SPLITS, draw_episodes, episode_rngs, rollout, scenario_and_options
+from kfenv.agents.tuning import tune
+from kfenv.filters.engine import Engine
+
+ENV = "kfenv/RadarTracking-v0"
+SHORT = {"rate": 2.0, "duration": 20.0}
+
+
+def small(**changes):
+    options = {
+        "env_id": ENV, "env_kwargs": SHORT, "agents": ("huber-gate", "clairvoyant"),
+        "episodes": 6, "seed": 3, "tuning_episodes": 3, "tuning_trials": 3,
+    }  # fmt: skip
+    return Contest(**(options | changes))
+
+
+@pytest.fixture(scope="module")
+def evaluated(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("contest") / "out"
+    return folder, evaluate(small(), folder, processes=1)
+
+
+def test_results_hold_what_is_promised(evaluated):
+    folder, results = evaluated
+    stored = json.loads((folder / "results.json").read_text())
+    assert stored == json.loads(json.dumps(results))
+    assert [r["agent"] for r in stored] == ["fixed", "fixed-tuned", "huber-gate", "clairvoyant"]
+    for result in stored:
+        for key in ("agent", "env", "episodes", "rmse", "rmse_median", "rmse_p95", "track_loss",
+                    "anees", "improvement_over_fixed", "ci_low", "ci_high"):  # fmt: skip
+            assert key in result
+        assert result["ci_low"] <= result["improvement_over_fixed"] <= result["ci_high"]
+    assert stored[0]["improvement_over_fixed"] == 0.0
+
+
+def test_improvement_is_the_median_of_paired_ratios(evaluated):
+    folder, results = evaluated
+    ratio = read_scores(folder, "clairvoyant").rmse / read_scores(folder, "fixed").rmse
+    assert results[3]["improvement_over_fixed"] == pytest.approx(np.median(1.0 - ratio))
+
+
+def test_a_contest_repeats(evaluated, tmp_path):
+    again = evaluate(small(), tmp_path / "again", processes=2)
+    assert json.dumps(again) == json.dumps(evaluated[1])
+
+
+def test_agents_meet_the_same_episodes():
+    recordings = [draw_episodes(ENV, SHORT, "test", 3, 4) for _ in range(2)]
+    for name in ("measurement", "noise", "mean", "truth"):
+        np.testing.assert_array_equal(*(getattr(r, name) for r in recordings))
+
+
+def test_splits_and_training_never_share_a_stream():
+    states = [
+        tuple(rng.bit_generator.state["state"].values())
+        for split in SPLITS
+        for seed in range(3)
+        for rng in episode_rngs(split, seed, 20)
+    ]
+    states += [
+        tuple(np.random.default_rng(seed).bit_generator.state["state"].values())
+        for seed in range(200)
+    ]
+    assert len(set(states)) == len(states)
+
+
+def test_fixed_agent_scores_as_the_engine_run():
+    recording = draw_episodes(ENV, SHORT, "test", 3, 5)
+    scenario, _ = scenario_and_options(ENV, SHORT)
+    ones = np.ones(5)
+    run = Engine(scenario.motion, scenario.sensor).run(
+        recording.mean, recording.factor, recording.time, recording.motion_inputs,
+        recording.sensor_inputs, recording.measurement, recording.noise, ones, ones,
+    )  # fmt: skip
+    off = (run.mean - recording.truth)[..., list(scenario.motion.position)]
+    rmse = np.sqrt(np.mean(np.sum(off**2, axis=-1), axis=1))
+    scores = rollout(make_agent("fixed"), ENV, SHORT, recording)
+    kept = ~scores.lost
+    assert kept.sum() >= 3
+    np.testing.assert_allclose(scores.rmse[kept], rmse[kept], rtol=1e-9)
+
+
+def test_a_lost_track_counts_to_the_end():
+    recording = draw_episodes(ENV, SHORT, "test", 3, 8)
+    scores = rollout(make_agent("random"), ENV, SHORT, recording, trace=True)
+    assert scores.lost.any(), "random knobs are expected to lose a track here"
+    for i in np.flatnonzero(scores.lost):
+        assert scores.rmse[i] > 0.1 * scenario_and_options(ENV, SHORT)[0].lost_distance
+
+
+def test_tuning_never_worsens_the_tuning_episodes():
+    recording = draw_episodes(ENV, SHORT, "tuning", 0, 6)
+    for name in ("fixed-tuned", "clairvoyant"):
+        tried = []
+        agent = make_agent(name)
+        tuned = tune(agent, ENV, SHORT, recording, 10, 0, lambda tried=tried: tried.append(1))
+        before, after = (
+            np.mean(np.log(rollout(a, ENV, SHORT, recording).rmse)) for a in (agent, tuned)
+        )
+        assert after <= before
+        assert len(tried) == 10
+
+
+def test_median_interval_covers():
+    rng = np.random.default_rng(0)
+    hits = 0
+    for trial in range(100):
+        low, high = median_interval(rng.normal(size=60), trial)
+        hits += low <= 0.0 <= high
+    assert 88 <= hits <= 100
+
+
+def test_a_filled_folder_is_refused_and_untouched(tmp_path):
+    (tmp_path / "mine.txt").write_text("keep")
+    with pytest.raises(FileExistsError, match="--resume"):
+        evaluate(small(), tmp_path, processes=1)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_an_interrupted_contest_resumes(tmp_path, evaluated):
+    done = []
+
+    def stop_after_two(name):
+        done.append(name)
+        if len(done) == 2:
+            raise KeyboardInterrupt
+
+    folder = tmp_path / "out"
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(small(), folder, processes=1, advance=stop_after_two)
+    assert not (folder / "results.json").exists()
+    kept = {path: path.stat().st_mtime_ns for path in (folder / "scores").iterdir()}
+    assert len(kept) == 2
+    results = evaluate(small(), folder, processes=1, resume=True)
+    assert json.dumps(results) == json.dumps(evaluated[1])
+    assert all(path.stat().st_mtime_ns == stamp for path, stamp in kept.items())
+
+
+def test_resuming_another_contest_is_refused(evaluated):
+    with pytest.raises(ValueError, match="another contest"):
+        evaluate(small(seed=4), evaluated[0], processes=1, resume=True)
+
+
+def test_bad_environment_keywords_leave_no_folder(tmp_path):
+    with pytest.raises(TypeError, match="faults"):
+        evaluate(small(env_kwargs={"fualts": 1}), tmp_path / "out", processes=1)
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_agents_of_one_name_are_refused():
+    with pytest.raises(ValueError, match="OTHER=PATH"):
+        small(agents=("fixed", "fixed"))
