@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from pairs import radar_case, wrap
+from pairs import PAIRS, radar_case, robot_case, wrap
 
 from kfenv.filters.engine import Engine
 from kfenv.filters.matrices import tria
@@ -38,3 +38,20 @@ def test_azimuth_crosses_180_degrees_unnoticed(design, tolerance):
     deviation = np.sqrt(np.diagonal(plain.covariance, axis1=2, axis2=3))
     difference = np.abs(here.mean @ TURN.T - there.mean) / deviation
     assert difference[:, SETTLED:].max() < tolerance
+
+
+@pytest.mark.parametrize("missing", [0.0, 1.0])
+@pytest.mark.parametrize("design", ["engine", "srukf-joseph-exact", "ukf-classical", "ekf-joseph"])
+def test_a_state_angle_stays_wrapped_while_the_robot_circles(design, missing):
+    motion, sensor, _ = PAIRS["robot, beacon"]
+    case = robot_case(missing=missing)
+    if design == "engine":
+        tier = Engine(motion, sensor, 3.0)
+    else:
+        tier = ReferenceFilter(motion, sensor, design)
+    run = tier.run(*case)
+    heading = run.mean[:, 1:, 2]
+    assert np.all((heading >= -np.pi) & (heading < np.pi))
+    assert np.all(np.abs(np.diff(heading, axis=1)).max(axis=1) > 6.0)  # it does go round
+    if missing == 0.0:
+        assert np.all(run.nis.mean(axis=1) < 6.0)  # of four channels: the cut is no surprise

@@ -112,7 +112,8 @@ def test_joseph_is_the_symmetrised_classical_form():
     classical, joseph, khp = histories("ekf-classical", "ekf-joseph", "ekf-khp")
     assert_same_filter(joseph, classical, 1e-10)
     assert_same_filter(khp, classical, 1e-10)
-    np.testing.assert_array_equal(classical.covariance, transpose(classical.covariance))
+    updated = classical.covariance[~np.isnan(classical.nis)]
+    np.testing.assert_array_equal(updated, transpose(updated))
 
 
 def test_the_exact_forms_are_one_filter():
