@@ -113,6 +113,10 @@ class SACSettings(Settings):
     """Random steps before the first update."""
     tau: float
     """How fast the target networks follow."""
+    first_entropy_coefficient: float
+    """Reward for staying random at the start; it is then adapted."""
+    log_std_init: float
+    """Logarithm of the first standard deviation of actions, before tanh."""
 
     @property
     def block(self) -> int:
@@ -122,7 +126,7 @@ class SACSettings(Settings):
     def __post_init__(self) -> None:
         """Check what the types cannot say."""
         super().__post_init__()
-        _within(self, 0.0, 1.0, "tau")
+        _within(self, 0.0, 1.0, "tau", "first_entropy_coefficient")
 
 
 ALGORITHMS: dict[str, type[Settings]] = {"ppo": PPOSettings, "sac": SACSettings}

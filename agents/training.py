@@ -275,7 +275,10 @@ def _new_model(settings: Settings, env: VectorEnvAdapter, seed: int) -> BaseAlgo
         policy_kwargs["log_std_init"] = settings.log_std_init
         return PPO(**common, **_ppo_arguments(settings))
     assert isinstance(settings, SACSettings)
-    return SAC(**common, **_sac_arguments(settings))
+    model = SAC(**common, **_sac_arguments(settings))
+    # stable-baselines3 has no option for this; its own start, near 1, saturates every action.
+    torch.nn.init.constant_(model.actor.log_std.bias, settings.log_std_init)
+    return model
 
 
 def _ppo_arguments(settings: PPOSettings) -> dict[str, Any]:
@@ -299,6 +302,7 @@ def _sac_arguments(settings: SACSettings) -> dict[str, Any]:
         "buffer_size": settings.buffer_size,
         "learning_starts": settings.learning_starts,
         "tau": settings.tau,
+        "ent_coef": f"auto_{settings.first_entropy_coefficient}",
     }
 
 
