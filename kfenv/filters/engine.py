@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from kfenv.filters.fingerprint import fingerprint
 from kfenv.filters.results import Prediction, Run, Update
 from kfenv.models.model import Motion, Sensor
-from kfenv.models.namespaces import compiled
+from kfenv.models.namespaces import compiled, lanes
+from kfenv.models.namespaces.lanes import LANES
 
 Array = NDArray[np.float64]
-LANES = 8  # rows are padded to a multiple of this many float64
 
 
 class Engine:
@@ -47,15 +47,13 @@ class Engine:
         self._kernel = _kernel(motion, sensor, self.kappa)
         n, m = len(motion.states), len(sensor.channels)
         self._n, self._m = n, m
-        self._weights = np.zeros(_padded(2 * n + 1))
-        self._weights[: 2 * n + 1] = 0.5 / (n + kappa)
-        self._weights[0] = kappa / (n + kappa)
-        self._widths = np.array([_padded(n), _padded(n + 1 + m), _padded(n + m)])
-        flat = [rows * self._kernel.W for rows in (n, m, max(n, m), n, m, m)]
-        self._scratch = (
-            *(np.zeros(size) for size in flat),
-            np.zeros((m, m)), np.zeros((m, m)), np.zeros(m, np.int64), np.zeros((n, n)),
-        )  # fmt: skip
+        # Rows of eight lanes, in the order in which the kernel unpacks them.
+        states = (n, n, n * n, n * n, n * n, len(motion.inputs), len(sensor.inputs), 1, 2)
+        channels = (m, m, m, 1, m, m, m)
+        points = (n * (2 * n + 1), m * (2 * n + 1), max(n * (n + m), m * (m + n + 1)))
+        gains = (m * n, m * m, m * m, m * n)
+        sizes = (*states, *channels, *points, *gains)
+        self._scratch = tuple(np.zeros((size, LANES)) for size in sizes)
 
     def __reduce__(self):
         return Engine, (self.motion, self.sensor, self.kappa)
@@ -64,10 +62,11 @@ class Engine:
         self, mean: Array, factor: Array, u: Array, dt: Array, status: NDArray[np.int64]
     ) -> Prediction:
         """Time update over dt (B,) with known inputs u (B, p)."""
-        result = Prediction(
-            np.empty_like(mean), np.empty_like(factor), np.empty_like(factor)
-        )
-        self._kernel.predict(mean, factor, u, dt, self._weights, self._scratch, *result, status)
+        result = Prediction(np.empty(mean.shape), *np.empty((2, *factor.shape)))
+        self._kernel.predict(
+            mean, _rows(factor), u, dt[:, None], self._scratch,
+            result.mean, _rows(result.root), _rows(result.noise), status,
+        )  # fmt: skip
         return result
 
     def innovate(
@@ -107,13 +106,15 @@ class Engine:
 
     def _update(self, prediction, fading, process_scale, s, z, sd, status, correct) -> Update:
         result = Update(
-            np.empty_like(prediction.mean), np.empty_like(prediction.root),
-            np.empty_like(z), np.empty_like(z), np.empty_like(z),
-            np.empty(len(z)), np.empty(len(z)),
-        )  # fmt: skip
+            np.empty(prediction.mean.shape),
+            np.empty(prediction.root.shape),
+            *np.empty((3, *z.shape)),
+            *np.empty((2, len(z))),
+        )
         self._kernel.update(
-            *prediction, fading, process_scale, s, z, sd, self._weights, self._widths,
-            self._scratch, correct, *result, status,
+            prediction.mean, _rows(prediction.root), _rows(prediction.noise),
+            np.sqrt(np.stack((fading, process_scale), axis=1)), s, z, sd, self._scratch, correct,
+            result.mean, _rows(result.factor), *result[2:], status,
         )  # fmt: skip
         return result
 
@@ -143,18 +144,17 @@ class Engine:
             np.full((batch, steps, self._n), np.nan), np.full((batch, steps), np.nan),
             np.zeros(batch, np.int64), np.full(batch, -1),
         )  # fmt: skip
-        dt = np.diff(time, prepend=time[:1])
-        n, m = self._n, self._m
-        pending = (np.zeros(n), np.zeros((n, n)), np.zeros((n, n)), *np.zeros((3, m)))
+        scales = np.sqrt(np.stack((fading, process_scale), axis=1))
         self._kernel.run(
-            mean.copy(), factor.copy(), dt, u, s, z, sd, fading, process_scale,
-            self._weights, self._widths, self._scratch, pending, *result,
+            mean, _rows(factor), np.diff(time, prepend=time[:1]), u, s, z, sd, scales,
+            self._scratch, *result,
         )  # fmt: skip
         return result
 
 
-def _padded(width: int) -> int:
-    return -(-width // LANES) * LANES
+def _rows(matrices: Array) -> Array:
+    """Matrices (B, n, n) as rows (B, n * n), without a copy."""
+    return matrices.reshape(len(matrices), -1)
 
 
 @lru_cache(maxsize=64)
@@ -162,20 +162,22 @@ def _kernel(motion: Motion, sensor: Sensor, kappa: float) -> ModuleType:
     """The kernel template bound to a pair of models."""
     path = Path(__file__).with_name("kernel.py")
     n, m = len(motion.states), len(sensor.channels)
-    stride = _padded(max(2 * n + 1, n + 1 + m))
     constants = {
         "N": n,
         "M": m,
-        "W": stride,
+        "P": 2 * n + 1,
         "SPREAD": sqrt(n + kappa),
+        "WEIGHT": 0.5 / (n + kappa),
+        "ROOT_WEIGHT": sqrt(0.5 / (n + kappa)),
+        "ROOT_CENTRE_WEIGHT": sqrt(kappa / (n + kappa)),
         "ODD": 0.5 / sqrt(n + kappa),
         "EVEN": sqrt(0.25 / (n + kappa)),
-        "CENTRE": sqrt(kappa / (n + kappa)),
         "STATE_IS_ANGLE": tuple(state.angle for state in motion.states),
         "CHANNEL_IS_ANGLE": tuple(channel.angle for channel in sensor.channels),
         "NOISE_PATTERN": motion.noise_pattern,
     }
-    identity = fingerprint(motion.build, sensor.build, sorted(constants.items()))
+    arithmetic = [Path(part.__file__).read_text() for part in (compiled, lanes)]
+    identity = fingerprint(motion.build, sensor.build, sorted(constants.items()), arithmetic)
     module = ModuleType(f"{__package__}.kernel_{identity}")
     module.__file__ = str(path)
     functions = motion.build(compiled)
@@ -185,7 +187,7 @@ def _kernel(motion: Motion, sensor: Sensor, kappa: float) -> ModuleType:
         noise_factor=functions.noise_factor,
         measure=sensor.build(compiled),
         entry_point=partial(_entry_point, identity=identity),
-        **_accessors(n, m, len(motion.inputs), len(sensor.inputs), stride),
+        **_accessors(n, m, len(motion.inputs), len(sensor.inputs)),
     )
     sys.modules[module.__name__] = module  # where the cache looks for the functions it restores
     exec(compile(path.read_text(), str(path), "exec"), module.__dict__)
@@ -198,24 +200,23 @@ def _entry_point(function: FunctionType, identity: str):
     return njit(cache=True, **compiled.FLOATING_POINT)(function)
 
 
-def _accessors(n: int, m: int, p: int, k: int, stride: int) -> dict:
-    """Functions between flat rows and tuples: Numba has no tuple of computed length."""
+def _accessors(n: int, m: int, p: int, k: int) -> dict:
+    """Functions between scratch rows and tuples: Numba has no tuple of computed length."""
+    points = 2 * n + 1
 
-    def gather(count: int, place: str) -> str:
-        return "(" + "".join(f"v[{place.format(i=i)}]," for i in range(count)) + ")"
+    def gather(count: int, stride: int, offset: str) -> str:
+        return "(" + "".join(f"load(v, {i * stride}{offset})," for i in range(count)) + ")"
 
     def scatter(count: int) -> str:
-        return "; ".join(f"v[{i * stride} + j] = y[{i}]" for i in range(count))
+        return "; ".join(f"store(v, {i * points} + j, lift(y[{i}]))" for i in range(count))
 
-    row = f"{{i}} * {stride} + j"
     source = (
-        f"def state_components(v, j): return {gather(n, row)}\n"
-        f"def input_components(v): return {gather(p, '{i}')}\n"
-        f"def sensor_components(v): return {gather(k, '{i}')}\n"
+        f"def state_components(v, j): return {gather(n, points, ' + j')}\n"
+        f"def input_components(v): return {gather(p, 1, '')}\n"
+        f"def sensor_components(v): return {gather(k, 1, '')}\n"
         f"def store_state(v, j, y): {scatter(n)}\n"
         f"def store_channels(v, j, y): {scatter(m)}\n"
     )
     functions: dict = {}
-    exec(source, functions)
-    functions.pop("__builtins__")
+    exec(source, {"load": lanes.load, "store": lanes.store, "lift": lanes.lift}, functions)
     return {name: compiled.function(f) for name, f in functions.items()}

@@ -2,378 +2,416 @@
 """The fused kernel: one square-root sigma-point filter cycle (SPEC section 9).
 
 This file is a template. `kfenv.filters.engine` executes it once per pair of motion
-and sensor, after binding the names in capitals, the model's functions, the component accessors
-and the decorator ``entry_point`` as globals; bound so, and not through closures,
-Numba finds its cache again in the next process.
+and sensor, after binding the names in capitals, the model's functions, the component
+accessors and the decorator ``entry_point`` as globals; bound so, and not through
+closures, Numba finds its cache again in the next process.
 
-Layout: scratch matrices are flat with the constant row stride ``W``, sigma points
-run along the rows, and row lengths are arguments that the caller pads to a multiple
-of eight. Loops over them are then turned into vector code; a trip count that is a
-constant would be unrolled first, and no vector code result.
+Eight filters run side by side, one per lane of a vector. Scratch matrices are arrays
+(rows * columns, 8); ``load`` and ``store`` take a flat index. No lane sees another, so
+a filter's bits do not depend on its neighbours. A missing channel keeps its row with
+zero slope, unit noise and zero innovation, and since the noise stands first in the
+rows that are triangularised, it changes no bit of the others.
 """
 
 import sys
-from math import floor, isnan, log, nan, pi, sqrt
+from math import isnan, log, nan
 
 from numba import njit
 
-from kfenv.models.namespaces.compiled import FLOATING_POINT
+from kfenv.models.namespaces.compiled import FLOATING_POINT, TWO_PI, wrap
+from kfenv.models.namespaces.lanes import LANES, lift, load, spread, sqrt, store, where_greater
 
-TWO_PI = 2.0 * pi
 LARGEST = sys.float_info.max
 OK, BAD_PREDICTION, BAD_INNOVATION, BAD_UPDATE = 0, 1, 2, 3
-
-
-@njit(forceinline=True, **FLOATING_POINT)
-def _wrap(angle):
-    return angle - TWO_PI * floor(angle / TWO_PI + 0.5)
 
 
 @njit(**FLOATING_POINT)
 def _triangularise(A, L, rows, width):
     """L := lower factor with L L^T = A A^T, diagonal >= 0; destroys A (Householder)."""
     for i in range(rows):
-        pivot_row = i * W
-        squared = 0.0
-        for j in range(width):
-            squared += A[pivot_row + j] * A[pivot_row + j]
+        squared = spread(0.0)
+        for j in range(i, width):
+            value = load(A, i * width + j)
+            squared = squared + value * value
         norm = sqrt(squared)
-        pivot = A[pivot_row + i]
-        sign = 1.0 if pivot >= 0.0 else -1.0
-        scale = norm * (norm + abs(pivot))
-        scale = 1.0 / scale if scale > 0.0 else 0.0
-        A[pivot_row + i] = pivot + sign * norm
-        L[i, i] = norm
-        for k in range(i + 1, rows):
-            row = k * W
-            projection = 0.0
-            for j in range(width):
-                projection += A[row + j] * A[pivot_row + j]
-            projection *= scale
-            for j in range(width):
-                A[row + j] -= projection * A[pivot_row + j]
-            L[k, i] = -sign * A[row + i]
-            A[row + i] = 0.0  # so that every row keeps the full width
-
-
-@njit(**FLOATING_POINT)
-def _add_noise(root, root_scale, noise, noise_scale, L, A, B, width):
-    """L := lower factor of root_scale^2 root root^T + noise_scale^2 noise noise^T.
-
-    Both are lower triangular, so each reflection touches one column of the root.
-    """
-    for i in range(N):
-        for j in range(i + 1):
-            A[i * W + j] = root_scale * root[i, j]
-            B[i * W + j] = noise_scale * noise[i, j]
-        for j in range(i + 1, width):
-            B[i * W + j] = 0.0
-    for i in range(N):
-        pivot_row = i * W
-        pivot = A[pivot_row + i]
-        squared = pivot * pivot
-        for j in range(width):
-            squared += B[pivot_row + j] * B[pivot_row + j]
-        norm = sqrt(squared)
-        sign = 1.0 if pivot >= 0.0 else -1.0
+        pivot = load(A, i * width + i)
+        sign = where_greater(0.0, pivot, -1.0, 1.0)
         head = pivot + sign * norm
         scale = norm * (norm + abs(pivot))
-        scale = 1.0 / scale if scale > 0.0 else 0.0
-        L[i, i] = norm
-        for j in range(i + 1, N):
-            L[i, j] = 0.0
-        for k in range(i + 1, N):
-            row = k * W
-            projection = A[row + i] * head
-            for j in range(width):
-                projection += B[row + j] * B[pivot_row + j]
-            projection *= scale
-            for j in range(width):
-                B[row + j] -= projection * B[pivot_row + j]
-            L[k, i] = -sign * (A[row + i] - projection * head)
+        scale = where_greater(scale, 0.0, 1.0 / scale, 0.0)
+        store(A, i * width + i, head)
+        store(L, i * rows + i, norm)
+        for k in range(i + 1, rows):
+            projection = spread(0.0)
+            for j in range(i, width):
+                projection = projection + load(A, k * width + j) * load(A, i * width + j)
+            projection = projection * scale
+            for j in range(i, width):
+                value = load(A, k * width + j) - projection * load(A, i * width + j)
+                store(A, k * width + j, value)
+            store(L, k * rows + i, -sign * load(A, k * width + i))
 
 
 @njit(**FLOATING_POINT)
-def _draw(mean, factor, X, width):
+def _add_noise(root, root_scale, noise, noise_scale, L, A):
+    """L := lower factor of root_scale^2 root root^T + noise_scale^2 noise noise^T.
+
+    Both are lower triangular, so a reflection touches one column of the root.
+    """
+    for i in range(N):
+        for j in range(i + 1):
+            store(L, i * N + j, root_scale * load(root, i * N + j))
+            store(A, i * N + j, noise_scale * load(noise, i * N + j))
+    for i in range(N):
+        pivot = load(L, i * N + i)
+        squared = pivot * pivot
+        for j in range(i + 1):
+            value = load(A, i * N + j)
+            squared = squared + value * value
+        norm = sqrt(squared)
+        sign = where_greater(0.0, pivot, -1.0, 1.0)
+        head = pivot + sign * norm
+        scale = norm * (norm + abs(pivot))
+        scale = where_greater(scale, 0.0, 1.0 / scale, 0.0)
+        store(L, i * N + i, norm)
+        for k in range(i + 1, N):
+            projection = load(L, k * N + i) * head
+            for j in range(i + 1):
+                projection = projection + load(A, k * N + j) * load(A, i * N + j)
+            projection = projection * scale
+            for j in range(i + 1):
+                value = load(A, k * N + j) - projection * load(A, i * N + j)
+                store(A, k * N + j, value)
+            store(L, k * N + i, -sign * (load(L, k * N + i) - projection * head))
+
+
+@njit(**FLOATING_POINT)
+def _draw(mean, factor, X):
     """Sigma points mean, mean +- sqrt(n + kappa) factor[:, i] along the rows of X."""
     for i in range(N):
-        centre = mean[i]
-        for j in range(width):
-            X[i * W + j] = centre
-        for j in range(i + 1):
-            offset = SPREAD * factor[i, j]
-            X[i * W + 1 + j] = centre + offset
-            X[i * W + 1 + N + j] = centre - offset
+        centre = load(mean, i)
+        store(X, i * P, centre)
+        for j in range(N):
+            if j <= i:
+                offset = SPREAD * load(factor, i * N + j)
+                store(X, i * P + 1 + j, centre + offset)
+                store(X, i * P + 1 + N + j, centre - offset)
+            else:
+                store(X, i * P + 1 + j, centre)
+                store(X, i * P + 1 + N + j, centre)
 
 
 @njit(**FLOATING_POINT)
-def _predict_one(mean, factor, u, dt, weights, new_mean, root, noise, X, width):
-    """Propagate one filter; root and noise are the two parts of its predicted factor."""
+def _mean_offset(X, row, is_angle):
+    """Turn a row of points into offsets from the central one; return their weighted mean."""
+    centre = load(X, row)
+    total = spread(0.0)
+    for j in range(P):
+        deviation = load(X, row + j) - centre
+        if is_angle:
+            deviation = wrap(deviation)
+        store(X, row + j, deviation)
+        total = total + deviation
+    return WEIGHT * total  # the central offset is zero, whatever its weight
+
+
+@njit(**FLOATING_POINT)
+def _predict_lanes(mean, factor, u, dt, new_mean, root, noise, X):
+    """Propagate; root and noise are the two parts of the predicted factor."""
     inputs = input_components(u)
-    _draw(mean, factor, X, width)
-    for j in range(width):
+    _draw(mean, factor, X)
+    entries = noise_factor(state_components(X, 0), inputs, dt)
+    for k in range(N * N):
+        store(noise, k, spread(0.0))
+    for k in range(len(NOISE_PATTERN)):
+        store(noise, NOISE_PATTERN[k][0] * N + NOISE_PATTERN[k][1], lift(entries[k]))
+    for j in range(P):
         store_state(X, j, step(state_components(X, j), inputs, dt))
     for i in range(N):
-        row = i * W
-        centre = X[row]
-        offset = 0.0
-        for j in range(width):
-            deviation = X[row + j] - centre
-            if STATE_IS_ANGLE[i]:
-                deviation = _wrap(deviation)
-            X[row + j] = deviation
-            offset += weights[j] * deviation
-        new_mean[i] = centre + offset
+        row = i * P
+        centre = load(X, row)
+        offset = _mean_offset(X, row, STATE_IS_ANGLE[i])
+        value = centre + offset
         if STATE_IS_ANGLE[i]:
-            new_mean[i] = _wrap(new_mean[i])
-        for j in range(width):
-            X[row + j] = sqrt(weights[j]) * (X[row + j] - offset)
-    _triangularise(X, root, N, width)
-    for i in range(N):
-        for j in range(N):
-            noise[i, j] = 0.0
-            if j > i:
-                root[i, j] = 0.0
-    _draw(mean, factor, X, 1)
-    entries = noise_factor(state_components(X, 0), inputs, dt)
-    for k in range(len(NOISE_PATTERN)):
-        noise[NOISE_PATTERN[k][0], NOISE_PATTERN[k][1]] = entries[k]
+            value = wrap(value)
+        store(new_mean, i, value)
+        store(X, row, -ROOT_CENTRE_WEIGHT * offset)
+        for j in range(1, P):
+            store(X, row + j, ROOT_WEIGHT * (load(X, row + j) - offset))
+    _triangularise(X, root, N, P)
 
 
 @njit(**FLOATING_POINT)
-def _innovate_one(
-    mean, factor, s, z, sd, weights, innovation, variance, whitened, present, X, Z, A, U, Re, C,
-    width, width_noise, width_cross,
-):  # fmt: skip
-    """Innovation of one filter; fills U, Re, C for the channels present, returns their number."""
+def _innovate_lanes(mean, factor, s, z, sd, arrived, innovation, variance, whitened,
+                    X, Z, A, U, Re, C):  # fmt: skip
+    """Innovation, its variance and whitened form; fills U, Re and C (SPEC section 9)."""
     inputs = sensor_components(s)
-    _draw(mean, factor, X, width)
-    for j in range(2 * N + 1):
+    _draw(mean, factor, X)
+    for j in range(P):
         store_channels(Z, j, measure(state_components(X, j), inputs))
-    count = 0
+    width = M + N + 1
     for c in range(M):
-        innovation[c] = nan
-        variance[c] = nan
-        whitened[c] = nan
-        if isnan(z[c]):
-            continue
-        row = c * W
-        centre = Z[row]
-        for j in range(2 * N + 1, width):
-            Z[row + j] = centre  # padding, or what a former filter left there would count
-        offset = 0.0
-        for j in range(width):
-            deviation = Z[row + j] - centre
-            if CHANNEL_IS_ANGLE[c]:
-                deviation = _wrap(deviation)
-            Z[row + j] = deviation
-            offset += weights[j] * deviation
-        nu = z[c] - centre - offset
+        row, here = c * P, load(arrived, c)
+        centre = load(Z, row)
+        offset = _mean_offset(Z, row, CHANNEL_IS_ANGLE[c])
+        nu = load(z, c) - centre - offset
         if CHANNEL_IS_ANGLE[c]:
-            nu = _wrap(nu)
-        innovation[c] = nu
-        out = count * W
-        for j in range(width_noise):
-            A[out + j] = 0.0
+            nu = wrap(nu)
+        store(innovation, c, where_greater(here, 0.5, nu, 0.0))
+        for j in range(M):
+            store(A, c * width + j, spread(0.0))
+        store(A, c * width + c, load(sd, c))
         for j in range(N):
-            plus, minus = Z[row + 1 + j], Z[row + 1 + N + j]
-            U[out + j] = ODD * (plus - minus)
-            A[out + j] = EVEN * (plus + minus - 2.0 * offset)
-        A[out + N] = -CENTRE * offset
-        A[out + N + 1 + count] = sd[c]
-        present[count] = c
-        count += 1
-    _triangularise(A, Re, count, width_noise)
-    for r in range(count):
-        for j in range(width_cross):
-            A[r * W + j] = 0.0
+            plus, minus = load(Z, row + 1 + j), load(Z, row + 1 + N + j)
+            slope, bend = ODD * (plus - minus), EVEN * (plus + minus - 2.0 * offset)
+            store(U, c * N + j, where_greater(here, 0.5, slope, 0.0))
+            store(A, c * width + M + j, where_greater(here, 0.5, bend, 0.0))
+        centred = where_greater(here, 0.5, -ROOT_CENTRE_WEIGHT * offset, 0.0)
+        store(A, c * width + M + N, centred)
+    _triangularise(A, Re, M, width)
+    width = M + N
+    for c in range(M):
+        for q in range(M):
+            store(A, c * width + q, load(Re, c * M + q) if q <= c else spread(0.0))
         for j in range(N):
-            A[r * W + j] = U[r * W + j]
-        for q in range(r + 1):
-            A[r * W + N + q] = Re[r, q]
-    _triangularise(A, C, count, width_cross)
-    for r in range(count):
-        residual = innovation[present[r]]
-        total = C[r, r] * C[r, r]
-        for q in range(r):
-            residual -= C[r, q] * whitened[present[q]]
-            total += C[r, q] * C[r, q]
-        whitened[present[r]] = residual / C[r, r]
-        variance[present[r]] = total
-    return count
+            store(A, c * width + M + j, load(U, c * N + j))
+    _triangularise(A, C, M, width)
+    for c in range(M):
+        residual = load(innovation, c)
+        diagonal = load(C, c * M + c)
+        total = diagonal * diagonal
+        for q in range(c):
+            entry = load(C, c * M + q)
+            residual = residual - entry * load(whitened, q)
+            total = total + entry * entry
+        store(whitened, c, residual / diagonal)
+        store(variance, c, total)
 
 
 @njit(**FLOATING_POINT)
-def _correct_one(mean, factor, count, present, innovation, A, U, Re, C, K, new_mean, new_factor,
-                 width, width_cross):  # fmt: skip
-    """K = S U^T C^-T C^-1 and S+ = tria[S - K U, K Re] for the channels present.
-
-    K is held transposed, one row a channel.
-    """
-    for r in range(count):
-        row = r * W
-        for i in range(N, width):
-            K[row + i] = 0.0
+def _correct_lanes(mean, factor, count, innovation, U, Re, C, K, A, new_mean, new_factor):
+    """K = S U^T C^-T C^-1 and S+ = tria[S - K U, K Re]; K is held one row a channel."""
+    for c in range(M):
+        inverse = 1.0 / load(C, c * M + c)
         for i in range(N):
-            value = 0.0
+            value = spread(0.0)
             for k in range(i + 1):
-                value += factor[i, k] * U[row + k]
-            K[row + i] = value
-        for q in range(r):
-            for i in range(width):
-                K[row + i] -= C[r, q] * K[q * W + i]
-        inverse = 1.0 / C[r, r]
-        for i in range(width):
-            K[row + i] *= inverse
-    for r in range(count - 1, -1, -1):
-        row = r * W
-        for q in range(r + 1, count):
-            for i in range(width):
-                K[row + i] -= C[q, r] * K[q * W + i]
-        inverse = 1.0 / C[r, r]
-        for i in range(width):
-            K[row + i] *= inverse
+                value = value + load(factor, i * N + k) * load(U, c * N + k)
+            for q in range(c):
+                value = value - load(C, c * M + q) * load(K, q * N + i)
+            store(K, c * N + i, value * inverse)
+    for c in range(M - 1, -1, -1):
+        inverse = 1.0 / load(C, c * M + c)
+        for i in range(N):
+            value = load(K, c * N + i)
+            for q in range(c + 1, M):
+                value = value - load(C, q * M + c) * load(K, q * N + i)
+            store(K, c * N + i, value * inverse)
+    width = N + M
     for i in range(N):
-        row = i * W
-        for j in range(width_cross):
-            A[row + j] = 0.0
-        for k in range(i + 1):
-            A[row + k] = factor[i, k]
-        correction = 0.0
-        for r in range(count):
-            gain = K[r * W + i]
-            correction += gain * innovation[present[r]]
-            for k in range(N):
-                A[row + k] -= gain * U[r * W + k]
-            for q in range(r + 1):
-                A[row + N + q] += gain * Re[r, q]
-        new_mean[i] = mean[i] + correction
-        if STATE_IS_ANGLE[i]:
-            new_mean[i] = _wrap(new_mean[i])
-    _triangularise(A, new_factor, N, width_cross)
-    for i in range(N):
-        for j in range(i + 1, N):
-            new_factor[i, j] = 0.0
-
-
-@njit(**FLOATING_POINT)
-def _copy(mean, factor, new_mean, new_factor):
-    # Loops, since Numba takes seconds to compile an assignment to a slice.
-    for i in range(N):
-        new_mean[i] = mean[i]
+        value = load(mean, i)
         for j in range(N):
-            new_factor[i, j] = factor[i, j]
-
-
-@njit(forceinline=True, **FLOATING_POINT)
-def _is_finite(value):
-    # math.isfinite compiles to value - value, which reassociation cancels to zero: always true
-    return abs(value) <= LARGEST
-
-
-@njit(**FLOATING_POINT)
-def _finite(mean, factor):
-    total = 0.0
+            entry = load(factor, i * N + j) if j <= i else spread(0.0)
+            for c in range(M):
+                entry = entry - load(K, c * N + i) * load(U, c * N + j)
+            store(A, i * width + j, entry)
+        for q in range(M):
+            entry = spread(0.0)
+            for c in range(q, M):
+                entry = entry + load(K, c * N + i) * load(Re, c * M + q)
+            store(A, i * width + N + q, entry)
+        for c in range(M):
+            value = value + load(K, c * N + i) * load(innovation, c)
+        if STATE_IS_ANGLE[i]:
+            value = wrap(value)
+        store(new_mean, i, where_greater(count, 0.5, value, load(mean, i)))
+    _triangularise(A, new_factor, N, width)
     for i in range(N):
-        total += mean[i]
         for j in range(i + 1):
-            total += factor[i, j]
-    return _is_finite(total)
+            k = i * N + j
+            store(new_factor, k, where_greater(count, 0.5, load(new_factor, k), load(factor, k)))
 
 
 @njit(**FLOATING_POINT)
-def _assess(count, present, whitened, C):
+def _gather(source, first, target):
+    """Lane l of the target takes row first + l of the source (B, K); the last row fills up."""
+    last = source.shape[0] - 1
+    for lane in range(LANES):
+        b = min(first + lane, last)
+        for k in range(source.shape[1]):
+            target[k, lane] = source[b, k]
+
+
+@njit(**FLOATING_POINT)
+def _scatter(source, first, status, target):
+    """Give each running filter its lane back."""
+    for lane in range(min(LANES, target.shape[0] - first)):
+        if status[first + lane] == OK:
+            for k in range(target.shape[1]):
+                target[first + lane, k] = source[k, lane]
+
+
+@njit(**FLOATING_POINT)
+def _scatter_factor(source, first, status, target):
+    """The same for lower factors, zero above the diagonal."""
+    for lane in range(min(LANES, target.shape[0] - first)):
+        if status[first + lane] == OK:
+            for i in range(N):
+                for j in range(N):
+                    value = source[i * N + j, lane] if j <= i else 0.0
+                    target[first + lane, i * N + j] = value
+
+
+@njit(**FLOATING_POINT)
+def _gather_measurement(measurement, noise, first, z, sd, arrived, count):
+    """Mark what arrived; what did not gets a harmless value and unit noise."""
+    last = measurement.shape[0] - 1
+    for lane in range(LANES):
+        b = min(first + lane, last)
+        count[0, lane] = 0.0
+        for c in range(M):
+            here = not isnan(measurement[b, c])
+            z[c, lane] = measurement[b, c] if here else 0.0
+            sd[c, lane] = noise[b, c] if here else 1.0
+            arrived[c, lane] = 1.0 if here else 0.0
+            count[0, lane] += arrived[c, lane]
+
+
+@njit(**FLOATING_POINT)
+def _is_finite(mean, factor, lane):
+    """Whether a lane holds numbers only (math.isfinite is no test where floats may be reordered)."""
+    for i in range(N):
+        if not abs(mean[i, lane]) <= LARGEST:
+            return False
+        for j in range(i + 1):
+            if not abs(factor[i * N + j, lane]) <= LARGEST:
+                return False
+    return True
+
+
+@njit(**FLOATING_POINT)
+def _assess(whitened, C, arrived, lane):
     """Normalised innovation squared and log-likelihood; NaN and 0 if nothing arrived."""
-    squared, log_determinant = 0.0, 0.0
-    for r in range(count):
-        squared += whitened[present[r]] * whitened[present[r]]
-        log_determinant += log(C[r, r])
-    if count == 0:
+    squared, log_likelihood, count = 0.0, 0.0, 0.0
+    for c in range(M):
+        if arrived[c, lane] > 0.5:
+            squared += whitened[c, lane] * whitened[c, lane]
+            log_likelihood -= log(C[c * M + c, lane]) + 0.5 * log(TWO_PI)
+            count += 1.0
+    if count == 0.0:
         return nan, 0.0
-    return squared, -0.5 * (squared + count * log(TWO_PI)) - log_determinant
+    return squared, log_likelihood - 0.5 * squared
+
+
+@njit(**FLOATING_POINT)
+def _mark_missing(arrived, lane, b, innovation, variance, whitened):
+    for c in range(M):
+        if arrived[c, lane] < 0.5:
+            innovation[b, c] = nan
+            variance[b, c] = nan
+            whitened[b, c] = nan
 
 
 @entry_point
-def predict(mean, factor, u, dt, weights, scratch, new_mean, root, noise, status):
+def predict(mean, factor, u, dt, scratch, new_mean, root, noise, status):
     """Time update of a batch. Filters whose status is not zero are left alone."""
-    X = scratch[0]
-    for b in range(mean.shape[0]):
-        if status[b] != OK:
-            continue
-        _predict_one(mean[b], factor[b], u[b], dt[b], weights, new_mean[b], root[b], noise[b],
-                     X, weights.size)  # fmt: skip
-        if not _finite(new_mean[b], root[b]):
-            status[b] = BAD_PREDICTION
+    m0, m1, S, L, Q, ul, sl, dtl, knobs, z, sd, arrived, count, e, v, w, X, Z, A, U, Re, C, K = scratch
+    for first in range(0, mean.shape[0], LANES):
+        _gather(mean, first, m0)
+        _gather(factor, first, S)
+        _gather(u, first, ul)
+        _gather(dt, first, dtl)
+        _predict_lanes(m0, S, ul, load(dtl, 0), m1, L, Q, X)
+        _scatter(m1, first, status, new_mean)
+        _scatter_factor(L, first, status, root)
+        _scatter_factor(Q, first, status, noise)
+        for lane in range(min(LANES, mean.shape[0] - first)):
+            if status[first + lane] == OK and not _is_finite(m1, L, lane):
+                status[first + lane] = BAD_PREDICTION
 
 
 @entry_point
-def update(mean, root, noise, fading, process_scale, s, z, sd, weights, widths, scratch, correct,
+def update(mean, root, noise, scales, s, measurement, deviation, scratch, correct,
            new_mean, new_factor, innovation, variance, whitened, nis, log_likelihood,
            status):  # fmt: skip
-    """Measurement update of a batch with the knobs applied.
+    """Measurement update of a batch; scales are the roots of fading and process scale (B, 2).
 
     Unless ``correct``, the innovation alone is formed and the predicted state returned.
     """
-    X, Z, A, B, U, K, Re, C, present, joined = scratch
-    for b in range(mean.shape[0]):
-        if status[b] != OK:
-            continue
-        _add_noise(root[b], sqrt(fading[b]), noise[b], sqrt(process_scale[b]), joined, A, B,
-                   widths[0])  # fmt: skip
-        count = _innovate_one(mean[b], joined, s[b], z[b], sd[b], weights, innovation[b],
-                              variance[b], whitened[b], present, X, Z, A, U, Re, C,
-                              weights.size, widths[1], widths[2])  # fmt: skip
-        nis[b], log_likelihood[b] = _assess(count, present, whitened[b], C)
-        if count > 0 and not _is_finite(nis[b]):
-            status[b] = BAD_INNOVATION
-            continue
-        if correct and count > 0:
-            _correct_one(mean[b], joined, count, present, innovation[b], A, U, Re, C, K,
-                         new_mean[b], new_factor[b], widths[0], widths[2])  # fmt: skip
+    m0, m1, S, L, Q, ul, sl, dtl, knobs, z, sd, arrived, count, e, v, w, X, Z, A, U, Re, C, K = scratch
+    for first in range(0, mean.shape[0], LANES):
+        _gather(mean, first, m0)
+        _gather(root, first, S)
+        _gather(noise, first, Q)
+        _gather(scales, first, knobs)
+        _gather(s, first, sl)
+        _gather_measurement(measurement, deviation, first, z, sd, arrived, count)
+        _add_noise(S, load(knobs, 0), Q, load(knobs, 1), L, A)
+        _innovate_lanes(m0, L, sl, z, sd, arrived, e, v, w, X, Z, A, U, Re, C)
+        if correct:
+            _correct_lanes(m0, L, load(count, 0), e, U, Re, C, K, A, m1, S)
+            _scatter(m1, first, status, new_mean)
+            _scatter_factor(S, first, status, new_factor)
         else:
-            _copy(mean[b], joined, new_mean[b], new_factor[b])
-        if not _finite(new_mean[b], new_factor[b]):
-            status[b] = BAD_UPDATE
+            _scatter(m0, first, status, new_mean)
+            _scatter_factor(L, first, status, new_factor)
+        _scatter(e, first, status, innovation)
+        _scatter(v, first, status, variance)
+        _scatter(w, first, status, whitened)
+        for lane in range(min(LANES, mean.shape[0] - first)):
+            b = first + lane
+            if status[b] != OK:
+                continue
+            _mark_missing(arrived, lane, b, innovation, variance, whitened)
+            nis[b], log_likelihood[b] = _assess(w, C, arrived, lane)
+            if count[0, lane] > 0.5 and not abs(nis[b]) <= LARGEST:
+                status[b] = BAD_INNOVATION
+            elif correct and not _is_finite(m1, S, lane):
+                status[b] = BAD_UPDATE
+            elif not correct and not _is_finite(m0, L, lane):
+                status[b] = BAD_PREDICTION
 
 
 @entry_point
-def run(mean, factor, dt, u, s, z, sd, fading, process_scale, weights, widths, scratch,
-        pending, means, nis, status, failed_at):  # fmt: skip
-    """Filter whole recordings with constant knobs; mean and factor end as the last posterior."""
-    X, Z, A, B, U, K, Re, C, present, joined = scratch
-    predicted, root, noise, innovation, variance, whitened = pending
-    for b in range(mean.shape[0]):
-        for t in range(z.shape[1]):
+def run(mean, factor, dt, u, s, measurement, deviation, scales, scratch, means, nis, status,
+        failed_at):  # fmt: skip
+    """Filter whole recordings with constant knobs; posterior means (B, T, n)."""
+    m0, m1, S, L, Q, ul, sl, dtl, knobs, z, sd, arrived, count, e, v, w, X, Z, A, U, Re, C, K = scratch
+    for first in range(0, mean.shape[0], LANES):
+        lanes = min(LANES, mean.shape[0] - first)
+        _gather(mean, first, m1)
+        _gather(factor, first, S)
+        _gather(scales, first, knobs)
+        for t in range(measurement.shape[1]):
             if t > 0:
-                _predict_one(mean[b], factor[b], u[b, t], dt[t], weights, predicted, root, noise,
-                             X, weights.size)  # fmt: skip
+                _gather(u[:, t], first, ul)
+                _predict_lanes(m1, S, ul, spread(dt[t]), m0, L, Q, X)
             else:
-                _copy(mean[b], factor[b], predicted, root)
+                for k in range(N * N):
+                    store(Q, k, spread(0.0))
+                    store(L, k, load(S, k))
                 for i in range(N):
-                    for j in range(N):
-                        noise[i, j] = 0.0
-            if not _finite(predicted, root):
-                status[b] = BAD_PREDICTION
-                failed_at[b] = t
-                break
-            _add_noise(root, sqrt(fading[b]), noise, sqrt(process_scale[b]), joined, A, B,
-                       widths[0])  # fmt: skip
-            count = _innovate_one(predicted, joined, s[b, t], z[b, t], sd[b, t], weights,
-                                  innovation, variance, whitened, present, X, Z, A, U, Re, C,
-                                  weights.size, widths[1], widths[2])  # fmt: skip
-            nis[b, t] = _assess(count, present, whitened, C)[0]
-            if count > 0 and not _is_finite(nis[b, t]):
-                status[b] = BAD_INNOVATION
-                failed_at[b] = t
-                break
-            if count > 0:
-                _correct_one(predicted, joined, count, present, innovation, A, U, Re, C, K,
-                             mean[b], factor[b], widths[0], widths[2])  # fmt: skip
-            else:
-                _copy(predicted, joined, mean[b], factor[b])
-            if not _finite(mean[b], factor[b]):
-                status[b] = BAD_UPDATE
-                failed_at[b] = t
-                break
-            for i in range(N):
-                means[b, t, i] = mean[b, i]
+                    store(m0, i, load(m1, i))
+            for lane in range(lanes):
+                if status[first + lane] == OK and not _is_finite(m0, L, lane):
+                    status[first + lane] = BAD_PREDICTION
+                    failed_at[first + lane] = t
+            for k in range(N * N):
+                store(S, k, load(L, k))
+            _gather(s[:, t], first, sl)
+            _gather_measurement(measurement[:, t], deviation[:, t], first, z, sd, arrived, count)
+            _add_noise(S, load(knobs, 0), Q, load(knobs, 1), L, A)
+            _innovate_lanes(m0, L, sl, z, sd, arrived, e, v, w, X, Z, A, U, Re, C)
+            _correct_lanes(m0, L, load(count, 0), e, U, Re, C, K, A, m1, S)
+            for lane in range(lanes):
+                b = first + lane
+                if status[b] != OK:
+                    continue
+                nis[b, t] = _assess(w, C, arrived, lane)[0]
+                if count[0, lane] > 0.5 and not abs(nis[b, t]) <= LARGEST:
+                    status[b], failed_at[b] = BAD_INNOVATION, t
+                elif not _is_finite(m1, S, lane):
+                    status[b], failed_at[b] = BAD_UPDATE, t
+                else:
+                    for i in range(N):
+                        means[b, t, i] = m1[i, lane]
