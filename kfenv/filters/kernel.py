@@ -25,6 +25,12 @@ LARGEST = sys.float_info.max
 OK, BAD_PREDICTION, BAD_INNOVATION, BAD_UPDATE = 0, 1, 2, 3
 
 
+@njit(forceinline=True, **FLOATING_POINT)
+def _plain(number):
+    """The number as a variable: Numba compiles a function anew for every literal argument."""
+    return number + 0
+
+
 @njit(**FLOATING_POINT)
 def _triangularise(A, L, rows, width):
     """L := lower factor with L L^T = A A^T, diagonal >= 0; destroys A (Householder)."""
@@ -120,7 +126,7 @@ def _predict_lanes(mean, factor, u, dt, new_mean, root, noise, X):
     """Propagate; root and noise are the two parts of the predicted factor."""
     inputs = input_components(u)
     _draw(mean, factor, X)
-    entries = noise_factor(state_components(X, 0), inputs, dt)
+    entries = noise_factor(state_components(X, _plain(0)), inputs, dt)
     for k in range(N * N):
         store(noise, k, spread(0.0))
     for k in range(len(NOISE_PATTERN)):
@@ -138,7 +144,7 @@ def _predict_lanes(mean, factor, u, dt, new_mean, root, noise, X):
         store(X, row, -ROOT_CENTRE_WEIGHT * offset)
         for j in range(1, P):
             store(X, row + j, ROOT_WEIGHT * (load(X, row + j) - offset))
-    _triangularise(X, root, N, P)
+    _triangularise(X, root, _plain(N), _plain(P))
 
 
 @njit(**FLOATING_POINT)
@@ -168,14 +174,14 @@ def _innovate_lanes(mean, factor, s, z, sd, arrived, innovation, variance, white
             store(A, c * width + M + j, where_greater(here, 0.5, bend, 0.0))
         centred = where_greater(here, 0.5, -ROOT_CENTRE_WEIGHT * offset, 0.0)
         store(A, c * width + M + N, centred)
-    _triangularise(A, Re, M, width)
+    _triangularise(A, Re, _plain(M), width)
     width = M + N
     for c in range(M):
         for q in range(M):
             store(A, c * width + q, load(Re, c * M + q) if q <= c else spread(0.0))
         for j in range(N):
             store(A, c * width + M + j, load(U, c * N + j))
-    _triangularise(A, C, M, width)
+    _triangularise(A, C, _plain(M), width)
     for c in range(M):
         residual = load(innovation, c)
         diagonal = load(C, c * M + c)
@@ -225,7 +231,7 @@ def _correct_lanes(mean, factor, count, innovation, U, Re, C, K, A, new_mean, ne
         if STATE_IS_ANGLE[i]:
             value = wrap(value)
         store(new_mean, i, where_greater(count, 0.5, value, load(mean, i)))
-    _triangularise(A, new_factor, N, width)
+    _triangularise(A, new_factor, _plain(N), width)
     for i in range(N):
         for j in range(i + 1):
             k = i * N + j
