@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from kfenv.envs import statistics
 from kfenv.envs.knobs import choose_knobs, knobs_of
-from kfenv.envs.options import ENGINE, Options, check_recording
+from kfenv.envs.options import ENGINE, Options
 from kfenv.filters.engine import Engine
 from kfenv.filters.results import Prediction, Update
 from kfenv.scenarios.recording import Recording
@@ -63,10 +63,14 @@ class Core:
         self._prediction = Prediction(np.zeros((batch, n)), *np.zeros((2, batch, n, n)))
         self._pending = _empty_update(batch, n, m)
         self._update = _empty_update(batch, n, m)
+        self._rows = np.arange(batch)
         self.index = np.zeros(batch, np.int64)
+        self._scored = np.zeros(batch, np.int64)
+        self.lost = np.zeros(batch, bool)
         self.status = np.zeros(batch, np.int64)
         self.error = np.full(batch, np.nan)
         self.nees = np.full(batch, np.nan)
+        self.total_squared_error, self.total_nees = np.zeros((2, batch))
         self._statistics = np.zeros((batch, len(sensor.groups), statistics.COLUMNS))
         self._since = np.zeros(batch)
         self._action = np.zeros((batch, len(self.knobs)))
@@ -91,6 +95,8 @@ class Core:
         if self.options.reward == "improvement" and self.has_truth:
             self._nominal_error[chosen] = self._errors_of_nominal(recording)
         self.index[chosen] = 0
+        self._scored[chosen] = 0
+        self.lost[chosen] = False
         self.status[chosen] = 0
         self._prediction.mean[chosen] = recording.mean
         self._prediction.root[chosen] = recording.factor
@@ -103,6 +109,8 @@ class Core:
         self._since[chosen] = 0.0
         self._action[chosen] = 0.0
         self.factors[chosen] = 1.0
+        self.total_squared_error[chosen] = 0.0
+        self.total_nees[chosen] = 0.0
         mask = np.zeros(self.batch, bool)
         mask[chosen] = True
         self._score(mask)
@@ -123,6 +131,8 @@ class Core:
     def step(self, action: Array, running: Mask) -> tuple[Array, Mask, Mask]:
         """Apply an action (B, K) for one decision interval to the running filters.
 
+        A lost track pays the cap for this decision and every one that remained.
+
         Returns:
             Reward, terminated and truncated, each (B,); zero and False where not running.
         """
@@ -131,16 +141,16 @@ class Core:
         )
         self._action[running] = action[running]
         squared, nominal, count = np.zeros((3, self.batch))
-        lost = np.zeros(self.batch, bool)
-        active = running.copy()
+        active, begin = running.copy(), self.index.copy()
         for _ in range(self.options.decision_interval):
             self._correct(active)
             self._score(active)
             gone = active & ((self.status != 0) | (self.error > self.scenario.lost_distance))
-            lost |= gone
-            at = (np.arange(self.batch), self.index)
-            squared[active] += self.error[active] ** 2
-            nominal[active] += self._nominal_error[at][active] ** 2
+            self.lost |= gone
+            capped = np.minimum(self.error, self.scenario.lost_distance)
+            squared[active] += capped[active] ** 2
+            self.total_nees[active] += self.nees[active]
+            nominal[active] += self._nominal_error[active, self.index[active]] ** 2
             count[active] += 1.0
             active &= ~gone
             self.index[active] += 1
@@ -149,25 +159,28 @@ class Core:
             self._look(active)
             if not active.any():
                 break
+        self.total_squared_error += squared
+        lost = running & self.lost
         ended = running & ~lost & (self.index >= len(self.time))
         count = np.maximum(count, 1.0)
-        reward = self._reward(squared / count, nominal / count, lost)
-        return np.where(running, reward, 0.0), lost & running, ended
+        reward = self._reward(squared / count, nominal / count)
+        remaining = -(-(len(self.time) - begin) // self.options.decision_interval)
+        reward = np.where(lost, -REWARD_CAP[self.options.reward] * remaining, reward)
+        return np.where(running, reward, 0.0), lost, ended
 
-    def _reward(self, squared: Array, nominal: Array, lost: Mask) -> Array:
-        """Of one decision; a lost track pays the cap for this and every remaining step."""
+    def _reward(self, squared: Array, nominal: Array) -> Array:
+        """Of one decision that did not lose the track, from mean squared errors."""
         cap = REWARD_CAP[self.options.reward]
         reward = np.zeros(self.batch)
         if self.has_truth and self.options.reward == "improvement":
             statistics.improvement(nominal, squared, cap, reward)
         elif self.has_truth:
             reward = -np.minimum(np.sqrt(squared) / self.scenario.error_scale, cap)
-        remaining = -(-(len(self.time) - self.index) // self.options.decision_interval)
-        return np.where(lost, -cap * remaining, reward)
+        return reward
 
     def _gather(self, name: str) -> Array:
-        index = np.minimum(self.index, len(self.time) - 1)
-        return self._episode[name][np.arange(self.batch), index]
+        """What an episode holds at each filter's instant, or at the last one beyond it."""
+        return self._episode[name][self._rows, np.minimum(self.index, len(self.time) - 1)]
 
     def _correct(self, active: Mask) -> None:
         noise = self._gather("noise") * self.factors[:, 2 + self._group]
@@ -177,7 +190,11 @@ class Core:
             self._gather("sensor_inputs"), self._gather("measurement"), noise, work,
         )  # fmt: skip
         self._update = _merge(self._update, result, active)
+        self._scored[active] = self.index[active]
         self.status[active] = work[active]
+        failed = active & (work != 0)
+        self._update.mean[failed] = np.nan  # a failed filter's outputs are meaningless
+        self._update.nis[failed] = np.nan
 
     def _predict(self, active: Mask) -> None:
         work = np.where(active, self.status, IDLE)
@@ -219,11 +236,10 @@ class Core:
     def observation(self) -> NDArray[np.float32]:
         """A fresh (B, D) array; see `feature_names`."""
         out = np.zeros((self.batch, self.observation_size))
-        pending = (self.index < len(self.time)) & (self.status == 0)
         statistics.observe(
             self._pending.whitened, self._pending.variance, self._gather("noise"),
             self._pending.factor, self._position, self._velocity, self.scenario.error_scale,
-            self._group, self._statistics, self._since, pending, out,
+            self._group, self._statistics, self._since, self._pends, out,
         )  # fmt: skip
         out[:, -len(self.knobs) :] = self._action
         out[self.status != 0] = 0.0
@@ -231,26 +247,25 @@ class Core:
 
     def information(self) -> dict[str, Any]:
         """Fresh arrays (B, ...) for the info dictionary; nothing of them is in the observation."""
-        scored = np.minimum(np.where(self.factors_applied, self.index - 1, 0), len(self.time) - 1)
+        pends = self._pends[:, None]
         info: dict[str, Any] = {
-            "time": self.time[scored],
+            "time": self.time[self._scored],
             "estimate": self._update.mean.copy(),
             "position_error": self.error.copy(),
             "nis": self._update.nis.copy(),
-            "innovation": self._pending.innovation.copy(),
-            "innovation_variance": self._pending.variance.copy(),
+            "innovation": np.where(pends, self._pending.innovation, np.nan),
+            "innovation_variance": np.where(pends, self._pending.variance, np.nan),
             "noise": self._gather("noise"),
         }
         if self.has_truth:
-            rows = np.arange(self.batch)
             info["nees"] = self.nees.copy()
-            info["truth"] = self._episode["truth"][rows, scored]
+            info["truth"] = self._episode["truth"][self._rows, self._scored]
         return info
 
     @property
-    def factors_applied(self) -> Mask:
-        """Whether an update has been made since the episode began."""
-        return self.index > 0
+    def _pends(self) -> Mask:
+        """Whether a measurement waits for its update; not where the episode is over."""
+        return (self.index < len(self.time)) & ~self.lost & (self.status == 0)
 
     def position_covariance(self) -> Array:
         """A fresh (B, 3, 3): the posterior covariance of the position, m^2."""
@@ -284,16 +299,16 @@ def make_filter(motion, sensor, options: Options):
     """
     if options.filter == ENGINE:
         return Engine(motion, sensor, options.kappa)
+    from kfenv.filters.designs import DESIGNS, find_design
     from kfenv.filters.reference import ReferenceFilter
 
+    if find_design(options.filter).form != "square-root":
+        known = [name for name, design in DESIGNS.items() if design.form == "square-root"]
+        raise ValueError(
+            f"The filter {options.filter!r} carries a covariance, and the knobs need a "
+            f"square-root factor: choose one of {', '.join(known)}."
+        )
     return ReferenceFilter(motion, sensor, options.filter, kappa=options.kappa)
-
-
-def check_episode(recording: Recording, scenario: Any, times: Array, has_truth: bool) -> None:
-    """Complain if a recording cannot be replayed here."""
-    check_recording(recording, scenario)
-    if not np.array_equal(recording.time, times) or (recording.truth is not None) != has_truth:
-        raise ValueError("The recording's times or truth differ from the environment's.")
 
 
 def _empty_update(batch: int, n: int, m: int) -> Update:

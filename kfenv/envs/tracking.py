@@ -45,8 +45,13 @@ class TrackingEnv(gym.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Draw (or replay the next) episode and observe its first pending measurement."""
+        """Draw (or replay the next) episode and observe its first pending measurement.
+
+        A seed also starts a replay again at its first episode.
+        """
         super().reset(seed=seed)
+        if seed is not None:
+            self._episodes = 0
         recording = _next_recording(self.scenario, self.options, [self.np_random], [self._episodes])
         self._episodes += 1
         self.core.load(np.zeros(1, np.int64), recording)
@@ -134,6 +139,7 @@ class TrackingVectorEnv(VectorEnv):
         self._seeds = [-1] * num_envs
         self._episodes = np.zeros(num_envs, np.int64)
         self._over = np.ones(num_envs, bool)
+        self._begun = np.zeros(num_envs, bool)
 
     @property
     def np_random(self) -> tuple[np.random.Generator, ...]:
@@ -154,6 +160,8 @@ class TrackingVectorEnv(VectorEnv):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start new episodes everywhere, or where ``options["reset_mask"]`` is true.
 
+        A seed also starts a replay again at the sub-environment's first episode.
+
         Raises:
             ValueError: if the seeds or the mask do not match the number of environments.
         """
@@ -166,11 +174,13 @@ class TrackingVectorEnv(VectorEnv):
         mask = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             raise ValueError(
-                f"options['reset_mask'] must be {self.num_envs} booleans, at least one of them true."
+                f"options['reset_mask'] must be {self.num_envs} booleans, at least one of them "
+                "true."
             )
         for i in np.flatnonzero(mask):
             if seeds[i] is not None:
                 self._rngs[i], self._seeds[i] = seeding.np_random(seeds[i])
+                self._episodes[i] = 0
         self._begin(mask)
         return self.core.observation(), _vector_info(self.core.information(), mask)
 
@@ -181,13 +191,18 @@ class TrackingVectorEnv(VectorEnv):
 
         Raises:
             ValueError: for actions of the wrong shape or with NaN.
-            RuntimeError: if autoreset is disabled and an episode is over.
+            RuntimeError: if an episode never began, or is over and autoreset is disabled.
         """
         actions = _checked(actions, self.action_space.shape)
+        if not self._begun.all():
+            raise RuntimeError(
+                f"The episodes of {int((~self._begun).sum())} sub-environments never began: "
+                "call reset() first."
+            )
         due = self._over.copy()
         if due.any() and self.autoreset_mode != AutoresetMode.NEXT_STEP:
             raise RuntimeError(
-                f"The episodes of {int(due.sum())} sub-environments are over (or never began): "
+                f"The episodes of {int(due.sum())} sub-environments are over: "
                 "call reset(options={'reset_mask': ...}) first."
             )
         running = ~due
@@ -204,7 +219,8 @@ class TrackingVectorEnv(VectorEnv):
             if due.any():
                 self._begin(due)
         infos.update(_vector_info(self.core.information(), np.ones(self.num_envs, bool)))
-        infos.update(self._knobs(running & (self.core.index > 0)))
+        begun_now = over if self.autoreset_mode == AutoresetMode.SAME_STEP else due
+        infos.update(self._knobs(~begun_now))
         return self.core.observation(), reward, lost, ended, infos
 
     def _knobs(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
@@ -236,6 +252,7 @@ class TrackingVectorEnv(VectorEnv):
         self.core.load(chosen, _next_recording(self.scenario, self.options, rngs, episodes))
         self._episodes[chosen] += 1
         self._over[chosen] = False
+        self._begun[chosen] = True
 
     def _generator(self, i: int) -> np.random.Generator:
         if self._rngs[i] is None:
@@ -282,7 +299,8 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
     for known in AutoresetMode:
         if mode in (known.value, known.name.lower()):
             return known
-    raise ValueError(unknown("autoreset_mode", mode, [known.name.lower() for known in AutoresetMode]))
+    names = [known.name.lower() for known in AutoresetMode]
+    raise ValueError(unknown("autoreset_mode", mode, names))
 
 
 def _vector_info(arrays: dict[str, Any], mask: NDArray[np.bool_]) -> dict[str, Any]:

@@ -1,0 +1,86 @@
+"""What the environment tests share: every registered id, short episodes, comparisons."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils import seeding
+
+import kfenv
+from kfenv.scenarios.recording import Recording
+
+every_environment = pytest.mark.parametrize("env_id", kfenv.ENVIRONMENTS)
+
+# Every fault of both scenarios, short and mild enough for short episodes.
+FAULTS = {
+    "jamming": {"bursts": [1, 2], "duration": [0.5, 1.5], "factor": [2.0, 6.0]},
+    "signal_loss": {"duration": [0.3, 0.8]},
+    "glint": {"factor": 4.0},
+    "noise_misreport": {"factor": [0.7, 1.4]},
+}
+SHORT = {"duration": 4.0, "faults": FAULTS}  # 41 decisions at 10 Hz
+
+
+def make(env_id: str, **keywords) -> gym.Env:
+    """The bare environment, of short episodes unless told otherwise."""
+    return gym.make(env_id, **(SHORT | keywords)).unwrapped
+
+
+def make_vec(env_id: str, num_envs: int, **keywords) -> gym.vector.VectorEnv:
+    return gym.make_vec(env_id, num_envs=num_envs, **(SHORT | keywords))
+
+
+def draw(env_id: str, seeds, **keywords) -> Recording:
+    """The episodes that environments seeded so replay first."""
+    return make(env_id, **keywords).scenario.sample([seeding.np_random(s)[0] for s in seeds])
+
+
+def change(recording: Recording, **changes) -> Recording:
+    """The recording with other arrays; a function gets the old one's copy to change."""
+    for name, value in changes.items():
+        if callable(value):
+            array = getattr(recording, name).copy()
+            value(array)
+            changes[name] = array
+    return replace(recording, **changes)
+
+
+def play(env: gym.Env, actions, seed: int | None = None) -> list[tuple]:
+    """Reset and step until the episode ends or the actions do: what came back, in order."""
+    heard = [env.reset(seed=seed)]
+    for action in actions:
+        heard.append(env.step(action))
+        if heard[-1][2] or heard[-1][3]:
+            break
+    return heard
+
+
+def random_actions(shape: tuple[int, ...], count: int, seed: int = 5) -> list:
+    """Mostly small ones, the ends of the knobs among them."""
+    rng = np.random.default_rng(seed)
+    return list(np.clip(rng.standard_cauchy((count, *shape)) / 20.0, -1, 1).astype(np.float32))
+
+
+def assert_same(one, other, where: str = "") -> None:
+    """The same structure and the same numbers to the last bit, NaN for NaN."""
+    assert type(one) is type(other), where
+    if isinstance(one, dict):
+        assert one.keys() == other.keys(), where
+        for key in one:
+            assert_same(one[key], other[key], f"{where}[{key!r}]")
+    elif isinstance(one, tuple | list):
+        assert len(one) == len(other), where
+        for i, (mine, theirs) in enumerate(zip(one, other, strict=True)):
+            assert_same(mine, theirs, f"{where}[{i}]")
+    else:
+        if isinstance(one, np.ndarray):
+            assert one.dtype == other.dtype, where
+        np.testing.assert_array_equal(one, other, err_msg=where)
+
+
+def assert_same_recording(one: Recording, other: Recording) -> None:
+    for field in fields(Recording):
+        assert_same(getattr(one, field.name), getattr(other, field.name), field.name)

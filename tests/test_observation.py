@@ -1,0 +1,203 @@
+"""The observation: bounded, finite, fresh, as documented, and nothing in it needs the truth."""
+
+from itertools import pairwise
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from rollouts import change, draw, every_environment, make, make_vec, play, random_actions
+
+from kfenv.envs.statistics import BOUND, WINDOWS
+
+SETTINGS = [
+    {"duration": 12.0, "faults": "random"},
+    {"rate": 1.0, "duration": 30.0, "noise": 30.0},
+    {"actions": ["fading"], "decision_interval": 4},
+    {"reward": "improvement"},
+]
+
+
+def settings_of(env_id, setting):
+    setting = dict(setting)
+    noise = setting.pop("noise", None)
+    if noise and "Validation" in env_id:
+        setting["noise_deviation"] = (noise, 1.0, 1.0)
+    return setting
+
+
+@every_environment
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_bounded_finite_and_float32(env_id, setting):
+    env = make_vec(env_id, 8, **settings_of(env_id, setting))
+    space = env.single_observation_space
+    assert space.dtype == np.float32 and space.is_bounded()
+    rng = np.random.default_rng(0)
+    observations = [env.reset(seed=0)[0]]
+    for _ in range(130):  # wild: some tracks are lost, most filters mistuned
+        observations.append(env.step(rng.choice([-1.0, 1.0, 0.0], env.action_space.shape))[0])
+    for observation in observations:
+        assert observation.dtype == np.float32 and np.isfinite(observation).all()
+        assert env.observation_space.contains(observation)
+    everything = np.concatenate(observations)
+    assert (everything.min(0) < everything.max(0)).all()  # no feature is dead
+
+
+@every_environment
+def test_bounded_and_finite_where_the_world_goes_mad(env_id):
+    def spoil(measurement):
+        measurement[:, 5:8] = [[1e9, 3.0, -3.0]] * 3
+        measurement[:, 10:20, 1] = np.nan
+        measurement[:, 20:] = np.nan
+
+    recording = change(draw(env_id, range(2)), measurement=spoil)
+    env = make(env_id, recording=recording)
+    for actions in (np.zeros((60, 5)), -np.ones((60, 5)), np.ones((60, 5))):
+        for observation, *_ in play(env, actions):
+            assert env.observation_space.contains(observation) and np.isfinite(observation).all()
+
+
+@every_environment
+def test_the_truth_is_not_in_it(env_id):
+    recording = draw(env_id, range(2))
+    actions = random_actions((2, 5), 12)
+    untrue = change(recording, truth=recording.truth + 123.0, true_noise=recording.true_noise * 3)
+    unknown = change(recording, truth=None, true_noise=None, faults=())
+    heard = []
+    for told in (recording, untrue, unknown):
+        env = make_vec(env_id, 2, recording=told)
+        steps = [env.reset(seed=0), *(env.step(a) for a in actions)]
+        heard.append(np.stack([step[0] for step in steps]))
+        assert ("truth" in steps[-1][-1]) == ("nees" in steps[-1][-1]) == (told is not unknown)
+    np.testing.assert_array_equal(heard[0], heard[1])
+    np.testing.assert_array_equal(heard[0], heard[2])
+
+
+@every_environment
+def test_without_truth_an_episode_runs_to_its_end_unrewarded(env_id):
+    recording = change(draw(env_id, [0]), truth=None)
+    heard = play(make(env_id, recording=recording), np.zeros((99, 5)))
+    assert len(heard) == 1 + len(recording.time) and heard[-1][3] and not heard[-1][2]
+    assert all(step[1] == 0.0 and np.isnan(step[4]["position_error"]) for step in heard[1:])
+
+
+@every_environment
+@pytest.mark.parametrize("num_envs", [None, 3])
+def test_what_is_handed_out_is_never_written_again(env_id, num_envs):
+    env = make(env_id) if num_envs is None else make_vec(env_id, num_envs)
+    kept = [env.reset(seed=0)]
+    copies = [[np.copy(array) for array in arrays(kept[0])]]
+    for action in random_actions(env.action_space.shape, 50):  # and over the episode's end
+        step = env.step(action)
+        if num_envs is None and (step[2] or step[3]):
+            step = env.reset()
+        kept.append(step)
+        copies.append([np.copy(array) for array in arrays(step)])
+    for step, copy in zip(kept, copies, strict=True):
+        for array, value in zip(arrays(step), copy, strict=True):
+            np.testing.assert_array_equal(array, value)
+    for one, other in pairwise(kept):
+        assert not any(np.shares_memory(a, b) for a in arrays(one) for b in arrays(other))
+
+
+def arrays(step) -> list[np.ndarray]:
+    """Every array in what reset or step returned."""
+    if isinstance(step, dict):
+        return [array for value in step.values() for array in arrays(value)]
+    if isinstance(step, tuple):
+        return [array for value in step for array in arrays(value)]
+    return [step] if isinstance(step, np.ndarray) and step.dtype != object else []
+
+
+@every_environment
+def test_writing_into_what_was_handed_out_harms_nobody(env_id):
+    one, other = make(env_id), make(env_id)
+    heard, echo = one.reset(seed=0), other.reset(seed=0)
+    for action in random_actions((5,), 20):
+        for array in arrays(heard):
+            array[...] = 7
+        heard, echo = one.step(action), other.step(action)
+        np.testing.assert_array_equal(heard[0], echo[0])
+        np.testing.assert_array_equal(heard[4]["estimate"], echo[4]["estimate"])
+
+
+@every_environment
+def test_it_ends_with_the_previous_action(env_id):
+    env = make(env_id)
+    assert not env.reset(seed=0)[0][-5:].any()
+    for action in random_actions((5,), 10):
+        observation = env.step(action)[0]
+        np.testing.assert_array_equal(observation[-5:], action)
+    assert not env.reset()[0][-5:].any()
+    assert (env.observation_space.high[-5:] == 1.0).all()
+    assert (env.observation_space.high[:-5] == BOUND).all()
+
+
+@every_environment
+@pytest.mark.parametrize(("actions", "size"), [(None, 29), (["fading"], 25),
+                                               (["measurement_noise", "fading"], 28)])  # fmt: skip
+def test_every_component_has_a_name_of_its_own(env_id, actions, size):
+    env = make(env_id, actions=actions)
+    names = env.core.feature_names()
+    assert len(names) == len(set(names)) == size
+    assert env.observation_space.shape == env.reset(seed=0)[0].shape == (size,)
+    assert make_vec(env_id, 2, actions=actions).single_observation_space.shape == (size,)
+
+
+@every_environment
+def test_the_features_are_what_their_page_says(env_id):
+    """Against the pending innovations that info tells."""
+    env = make(env_id, duration=12.0)
+    observation, info = env.reset(seed=4)
+    squares, lag, last, since = np.ones((3, 3)), np.zeros(3), np.zeros(3), 0.0
+    time, step = 0.0, 0.1
+    scale = env.scenario.error_scale
+    while True:
+        arrived = ~np.isnan(info["innovation"])
+        # Nearly diagonal innovation covariances: the whitened innovation is close to the scaled
+        scaled = info["innovation"] / np.sqrt(info["innovation_variance"])
+        whitened = env.core._pending.whitened[0]
+        np.testing.assert_allclose(whitened[0], scaled[0], rtol=1e-9)  # the first is exact
+        since = 0.0 if arrived.any() else since + (step if time > 0.0 else 0.0)
+        for g in np.flatnonzero(arrived):
+            squares[g] += (whitened[g] ** 2 - squares[g]) / np.array(WINDOWS)
+            lag[g] += (whitened[g] * last[g] - lag[g]) / WINDOWS[-1]
+            last[g] = whitened[g]
+        for g in range(3):
+            part = observation[7 * g : 7 * g + 7]
+            signed = np.sign(whitened[g]) * np.log1p(abs(whitened[g])) if arrived[g] else 0.0
+            assert part[0] == pytest.approx(signed, abs=1e-5)
+            np.testing.assert_allclose(part[1:4], 0.5 * np.log(squares[g] + 1e-4), atol=1e-5)
+            correlation = np.clip(lag[g] / (squares[g, -1] + 1e-4), -1.0, 1.0)
+            assert part[4] == pytest.approx(correlation, abs=1e-5)
+            assert part[5] == float(arrived[g])
+            share = info["noise"][g] ** 2 / info["innovation_variance"][g] if arrived[g] else 0.0
+            assert part[6] == pytest.approx(share, abs=1e-5) and part[6] <= 1.0
+        assert observation[21] == pytest.approx(np.log1p(since), abs=1e-5)
+        predicted = env.core._pending.factor[0]
+        spread = np.sqrt(np.diag(predicted @ predicted.T).reshape(3, 3).sum(axis=0))
+        assert observation[22] == pytest.approx(np.log(spread[0] / scale), abs=1e-5)
+        assert observation[23] == pytest.approx(np.log(spread[1] / (0.1 * scale)), abs=1e-5)
+        observation, _, terminated, truncated, info = env.step(np.zeros(5))
+        time += step
+        if terminated or truncated:
+            break
+    assert time > 5.0 and not observation[[0, 5, 6, 7, 12, 13, 14, 19, 20]].any()  # none pending
+
+
+@every_environment
+def test_the_measurement_is_pending_when_the_agent_decides(env_id):
+    """An outlier shows before the step that would take it in."""
+
+    def outlier(measurement):
+        measurement[:, 20, 0] += 1e4
+
+    recording = draw(env_id, [0], faults="none")
+    spoilt = change(recording, measurement=outlier)
+    plain, warned = make(env_id, recording=recording), make(env_id, recording=spoilt)
+    plain.reset(), warned.reset()
+    for k in range(1, 21):
+        one, other = plain.step(np.zeros(5)), warned.step(np.zeros(5))
+        np.testing.assert_array_equal(one[4]["estimate"], other[4]["estimate"])
+        assert (one[0][0] == other[0][0]) == (k < 20)
+    assert other[0][0] > 2.0
+    assert isinstance(plain, gym.Env)
