@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
+from kfenv.checks import is_number
 from kfenv.names import unknown
 from kfenv.scenarios.recording import Recording
 
@@ -33,6 +34,14 @@ class Options:
                 f"decision_interval must be a whole number of filter steps, 1 or more, "
                 f"got {interval!r}."
             )
+        if self.actions is not None and not isinstance(self.actions, Sequence):
+            raise ValueError(
+                f"actions must be a list of knob names, or None for all, got {self.actions!r}."
+            )
+        if not isinstance(self.filter, str):
+            raise ValueError(f"filter must be the name of a filter, got {self.filter!r}.")
+        if not is_number(self.kappa):
+            raise ValueError(f"kappa must be a finite number, got {self.kappa!r}.")
         if self.recording is not None and not isinstance(self.recording, Recording):
             raise ValueError(
                 f"recording must be a kfenv Recording, got {type(self.recording).__name__}."

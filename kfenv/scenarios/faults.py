@@ -15,6 +15,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from kfenv.checks import is_number
 from kfenv.names import unknown
 from kfenv.scenarios.recording import FaultInterval
 
@@ -47,10 +48,13 @@ class Draft:
         return cls(time, np.ones(shape), np.ones(shape), np.ones(shape, bool), **more)
 
     def window(self, label: str, start: float, duration: float) -> slice:
-        """Label the interval and return its time indices."""
+        """Label the interval, as far as it lies in the episode, and return its time indices."""
         stop = start + duration
-        self.intervals.append(FaultInterval(label, float(start), float(stop)))
-        return slice(*np.searchsorted(self.time, (start, stop)))
+        inside = slice(*np.searchsorted(self.time, (start, stop)))
+        if inside.stop > inside.start:
+            first, last = max(start, self.time[0]), min(stop, self.time[-1])
+            self.intervals.append(FaultInterval(label, float(first), float(last)))
+        return inside
 
     def throughout(self, label: str) -> None:
         """Label the whole episode."""
@@ -70,6 +74,8 @@ class Fault(Protocol):
 class Jamming:
     """Bursts that raise the noise of all channels, unknown to the filter.
 
+    Where bursts overlap the strongest counts.
+
     Attributes:
         bursts: least and greatest number of bursts.
         duration: range of a burst's length, s.
@@ -84,16 +90,22 @@ class Jamming:
     start: float | None = None
 
     def __post_init__(self) -> None:
-        _check_range(self, "bursts", lowest=0)
-        _check_range(self, "duration")
-        _check_range(self, "factor")
+        check_range(self, "bursts", lowest=0)
+        if any(value != int(value) for value in self.bursts):
+            raise ValueError(f"Jamming.bursts must be whole numbers, got {self.bursts!r}.")
+        check_range(self, "duration")
+        check_range(self, "factor")
+        check_start(self)
 
     def apply(self, draft: Draft, rng: Generator) -> None:
+        raised = np.ones((len(draft.time), 1))
         for _ in range(rng.integers(self.bursts[0], self.bursts[1], endpoint=True)):
             duration = rng.uniform(*self.duration)
             factor = _log_uniform(rng, self.factor)
             start = _draw_start(self.start, duration, draft, rng)
-            draft.noise_factor[draft.window(self.label, start, duration)] *= factor
+            burst = draft.window(self.label, start, duration)
+            raised[burst] = np.maximum(raised[burst], factor)
+        draft.noise_factor *= raised
 
 
 @dataclass(frozen=True)
@@ -110,7 +122,8 @@ class SignalLoss:
     start: float | None = None
 
     def __post_init__(self) -> None:
-        _check_range(self, "duration")
+        check_range(self, "duration")
+        check_start(self)
 
     def apply(self, draft: Draft, rng: Generator) -> None:
         duration = rng.uniform(*self.duration)
@@ -135,9 +148,10 @@ class Glint:
 
     def __post_init__(self) -> None:
         for name in ("probability", "fraction"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"Glint.{name} must lie in [0, 1], got {getattr(self, name)!r}.")
-        if not 0.0 < self.factor < float("inf"):
+            value = getattr(self, name)
+            if not is_number(value) or not 0.0 <= value <= 1.0:
+                raise ValueError(f"Glint.{name} must be a number in [0, 1], got {value!r}.")
+        if not is_number(self.factor) or self.factor <= 0.0:
             raise ValueError(f"Glint.factor must be positive, got {self.factor!r}.")
 
     def apply(self, draft: Draft, rng: Generator) -> None:
@@ -160,7 +174,7 @@ class NoiseMisreport:
     factor: Range = (0.4, 2.5)
 
     def __post_init__(self) -> None:
-        _check_range(self, "factor")
+        check_range(self, "factor")
 
     def apply(self, draft: Draft, rng: Generator) -> None:
         low, high = np.log(self.factor)
@@ -189,7 +203,7 @@ def resolve_faults(
         presets, known: the scenario's.
 
     Raises:
-        ValueError: for an unknown preset, fault or parameter.
+        ValueError: for an unknown preset, fault or parameter, or what is no fault.
     """
     if isinstance(setting, str):
         if setting not in presets:
@@ -197,18 +211,29 @@ def resolve_faults(
         return presets[setting]
     if isinstance(setting, Mapping):
         return tuple(_build(name, parameters, known) for name, parameters in setting.items())
-    faults = tuple(setting)
-    for fault in faults:
-        if not callable(getattr(fault, "apply", None)) or not hasattr(fault, "label"):
+    if not isinstance(setting, Sequence):
+        raise ValueError(
+            "faults must be a preset's name, a list of fault objects, or a mapping from names to "
+            f"parameters, got {setting!r}."
+        )
+    for fault in setting:
+        whole = callable(getattr(fault, "apply", None)) and hasattr(fault, "label")
+        if isinstance(fault, type) or not whole:
             raise ValueError(
-                f"{fault!r} is no fault: it needs a `label` and a method `apply(draft, rng)`."
+                f"{fault!r} is no fault: give an object with a `label` and a method "
+                "`apply(draft, rng)`."
             )
-    return faults
+    return tuple(setting)
 
 
 def _build(name: str, parameters: Mapping[str, object], known: Mapping[str, type]) -> Fault:
     if name not in known:
         raise ValueError(unknown("fault", name, known))
+    if not isinstance(parameters, Mapping):
+        raise ValueError(
+            f"The fault {name!r} needs a mapping of its parameters ({{}} for the defaults), "
+            f"got {parameters!r}."
+        )
     names = [parameter.name for parameter in fields(known[name])]
     for parameter in parameters:
         if parameter not in names:
@@ -220,16 +245,35 @@ def _build(name: str, parameters: Mapping[str, object], known: Mapping[str, type
     return known[name](**values)
 
 
-def _check_range(fault: object, name: str, lowest: float | None = None) -> None:
+def check_range(fault: object, name: str, lowest: float | None = None) -> None:
+    """Complain if a fault's range is not (low, high), positive or from `lowest` on.
+
+    Raises:
+        ValueError: naming the fault, the range and what it holds.
+    """
     pair = getattr(fault, name)
-    right = isinstance(pair, tuple | list) and len(pair) == 2
-    right = right and pair[0] <= pair[1] < float("inf")
+    right = isinstance(pair, tuple | list) and len(pair) == 2 and all(map(is_number, pair))
+    right = right and pair[0] <= pair[1]
     right = right and (pair[0] > 0 if lowest is None else pair[0] >= lowest)
     if not right:
         bound = "positive" if lowest is None else f"at least {lowest}"
         raise ValueError(
             f"{type(fault).__name__}.{name} must be a pair (low, high), {bound} and in order, "
             f"got {pair!r}."
+        )
+
+
+def check_start(fault: object) -> None:
+    """Complain if a fault's `start` is neither None nor a time in seconds.
+
+    Raises:
+        ValueError: naming the fault and its start.
+    """
+    start = fault.start
+    if start is not None and not (is_number(start) and start >= 0.0):
+        raise ValueError(
+            f"{type(fault).__name__}.start must be seconds from the episode's begin (0 or more), "
+            f"got {start!r}."
         )
 
 

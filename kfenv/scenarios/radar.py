@@ -11,11 +11,20 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from kfenv.checks import is_number
 from kfenv.models.model import Motion, Sensor
 from kfenv.models.namespaces import batch
 from kfenv.models.phased_array import PhasedArray, rain_transmission
 from kfenv.models.radar import radar
-from kfenv.scenarios.faults import FAULTS, Draft, Fault, Range, _check_range, resolve_faults
+from kfenv.scenarios.faults import (
+    FAULTS,
+    Draft,
+    Fault,
+    Range,
+    check_range,
+    check_start,
+    resolve_faults,
+)
 from kfenv.scenarios.recording import Recording, stack
 from kfenv.scenarios.trajectories import paper_trajectory
 
@@ -52,7 +61,7 @@ class Rain:
     rate: Range = (0.0, 50.0)
 
     def __post_init__(self) -> None:
-        _check_range(self, "rate", lowest=0.0)
+        check_range(self, "rate", lowest=0)
 
     def apply(self, draft: RadarDraft, rng: Generator) -> None:
         transmission = rain_transmission(draft.position[:, 0], rng.uniform(*self.rate))
@@ -74,6 +83,14 @@ class SelfScreeningJammer:
     start: float = 70.0
     duration: float = 30.0
     known: bool = True
+
+    def __post_init__(self) -> None:
+        check_start(self)
+        if not is_number(self.start) or not is_number(self.duration) or self.duration <= 0.0:
+            raise ValueError(
+                "SelfScreeningJammer needs a start and a positive duration in seconds, got "
+                f"{self.start!r} and {self.duration!r}."
+            )
 
     def apply(self, draft: RadarDraft, rng: Generator) -> None:
         jammed = draft.window(self.label, self.start, self.duration)
@@ -100,15 +117,20 @@ class RadarScenario:
     lost_distance: ClassVar[float] = 10_000.0  # m, SPEC 7.1
 
     def __post_init__(self) -> None:
-        if not MIN_RATE <= self.rate <= MAX_RATE:
+        if not is_number(self.rate) or not MIN_RATE <= self.rate <= MAX_RATE:
             raise ValueError(
                 f"rate must lie between {MIN_RATE:g} and {MAX_RATE:g} measurements per second, "
                 f"got {self.rate!r}."
             )
-        if not 1.0 / self.rate <= self.duration < float("inf"):
-            raise ValueError(f"duration must be at least one step of seconds, got {self.duration!r}.")
+        if not is_number(self.duration) or self.duration < 1.0 / self.rate:
+            raise ValueError(
+                "duration must be a number of seconds, at least one step of "
+                f"{1.0 / self.rate:g} s, got {self.duration!r}."
+            )
         if self.radar_position is not None and self.track is None:
-            raise ValueError("radar_position places a radar beside a real flight: give a track too.")
+            raise ValueError(
+                "radar_position places a radar beside a real flight: give a track too."
+            )
         resolve_faults(self.faults, self.presets, self.known_faults)
         if self.track is not None:
             _flight(self.track)

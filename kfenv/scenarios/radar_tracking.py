@@ -16,16 +16,21 @@ from kfenv.models.phased_array import PhasedArray
 from kfenv.models.variable_turn import variable_turn
 from kfenv.scenarios.faults import FAULTS, Fault, Glint, Jamming, NoiseMisreport, SignalLoss
 from kfenv.scenarios.radar import RadarDraft, RadarScenario, Rain, SelfScreeningJammer
-from kfenv.scenarios.trajectories import paper_trajectory, random_trajectory
+from kfenv.scenarios.trajectories import MAX_DURATION, paper_trajectory, random_trajectory
 
 Array = NDArray[np.float64]
+
+DURATION, PAPER_DURATION = 120.0, 250.0  # s, unless told; 250 s is the whole of trajectory B
 
 
 @dataclass(frozen=True)
 class RadarTracking(RadarScenario):
-    """The scenario of ``kfenv/RadarTracking-v0``."""
+    """The scenario of ``kfenv/RadarTracking-v0``.
 
-    duration: float = 120.0
+    The duration is by default that of the published case, or that of a training episode.
+    """
+
+    duration: float | None = None
     rate: float = 10.0
     faults: str | Mapping[str, Mapping[str, object]] | Sequence[Fault] = "random"
 
@@ -42,6 +47,18 @@ class RadarTracking(RadarScenario):
         "paper": (SelfScreeningJammer(), SignalLoss(duration=(10.0, 10.0), start=150.0)),
         "none": (),
     }
+
+    def __post_init__(self) -> None:
+        if self.duration is None:
+            duration = PAPER_DURATION if self.faults == "paper" else DURATION
+            object.__setattr__(self, "duration", duration)
+        super().__post_init__()
+        at_random = self.track is None and self.faults != "paper"
+        if at_random and self.duration > MAX_DURATION:
+            raise ValueError(
+                f"A random flight lasts at most {MAX_DURATION:g} s, got duration="
+                f"{self.duration!r}: run more episodes instead."
+            )
 
     @cached_property
     def motion(self) -> Motion:

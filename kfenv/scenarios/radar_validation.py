@@ -11,10 +11,18 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from kfenv.checks import is_number
 from kfenv.models.constant_acceleration import constant_acceleration
 from kfenv.models.model import Motion
-from kfenv.scenarios.faults import Fault, Glint, Jamming, NoiseMisreport, SignalLoss
-from kfenv.scenarios.radar import RadarDraft, RadarScenario
+from kfenv.scenarios.faults import (
+    Fault,
+    Glint,
+    Jamming,
+    NoiseMisreport,
+    SignalLoss,
+    resolve_faults,
+)
+from kfenv.scenarios.radar import RadarDraft, RadarScenario, Rain, SelfScreeningJammer
 
 Array = NDArray[np.float64]
 
@@ -47,16 +55,25 @@ class RadarValidation(RadarScenario):
                 "noise_deviation=(metres, degrees, degrees)."
             )
         deviation = self.deviation_at_boundary
-        if len(deviation) != 3 or not all(0.0 < value < float("inf") for value in deviation):
+        triple = isinstance(deviation, Sequence | np.ndarray) and len(deviation) == 3
+        if not triple or not all(is_number(value) and value > 0.0 for value in deviation):
             raise ValueError(
                 "noise_deviation must hold three positive numbers (range in m, azimuth and "
                 f"elevation in degrees), got {self.noise_deviation!r}."
             )
+        for fault in resolve_faults(self.faults, self.presets, self.known_faults):
+            if isinstance(fault, Rain | SelfScreeningJammer):
+                raise ValueError(
+                    f"{fault!r} acts through the radar equation, which fixed noise has not: "
+                    "leave it out, or use RadarTracking."
+                )
 
     @property
     def deviation_at_boundary(self) -> tuple[float, float, float]:
         """Noise of range, azimuth and elevation in m, deg, deg."""
-        return self.noise_deviation or PUBLISHED_NOISE[self.rate]
+        if self.noise_deviation is None:
+            return PUBLISHED_NOISE[self.rate]
+        return self.noise_deviation
 
     @cached_property
     def motion(self) -> Motion:

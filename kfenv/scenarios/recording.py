@@ -57,7 +57,8 @@ class Recording:
         for field in fields(self)[:-1]:
             value = getattr(self, field.name)
             if value is not None:
-                value = np.ascontiguousarray(value, dtype=np.float64)
+                # A view, so that the array given stays as writeable as it was.
+                value = np.ascontiguousarray(value, dtype=np.float64).view()
                 value.flags.writeable = False
                 object.__setattr__(self, field.name, value)
         if not self.faults:
@@ -148,7 +149,7 @@ def stack(recordings: Sequence[Recording]) -> Recording:
     """Join recordings over the same times into one batch.
 
     Raises:
-        ValueError: if there is none, or their times differ.
+        ValueError: if there is none, their times differ, or some lack what others have.
     """
     if not recordings:
         raise ValueError("stack needs at least one Recording.")
@@ -158,6 +159,10 @@ def stack(recordings: Sequence[Recording]) -> Recording:
     joined = {}
     for field in fields(Recording)[1:-1]:
         values = [getattr(recording, field.name) for recording in recordings]
+        if len({value is None for value in values}) > 1:
+            raise ValueError(
+                f"Recordings with and without {field.name} cannot be stacked: drop it from all."
+            )
         joined[field.name] = None if values[0] is None else np.concatenate(values)
     faults = tuple(intervals for recording in recordings for intervals in recording.faults)
     return Recording(first.time, **joined, faults=faults)

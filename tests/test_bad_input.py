@@ -1,0 +1,260 @@
+"""Bad input gets one clear sentence that names the culprit, at the door."""
+
+import dataclasses
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from rollouts import change, draw, every_environment, make, make_vec
+
+import kfenv
+from kfenv.scenarios.faults import Glint, Jamming, NoiseMisreport, SignalLoss
+from kfenv.scenarios.radar import Rain, SelfScreeningJammer
+from kfenv.scenarios.recording import Recording, stack
+
+TRACKING, VALIDATION = kfenv.ENVIRONMENTS
+NAN, INFINITE = float("nan"), float("inf")
+
+
+def complaint(kind, call, *args, **keywords) -> str:
+    """What is said; a wrapper of Gymnasium adds its own words after ours."""
+    with pytest.raises(kind) as caught:
+        call(*args, **keywords)
+    said = str(caught.value).split(" was raised from the environment creator")[0]
+    assert 20 < len(said) < 330 and "\n" not in said and said[-1] in ".?", said
+    return said
+
+
+WRONG = [  # keyword argument of every environment, what must be said of it
+    ({"durationn": 5}, "'durationn'. Did you mean 'duration'"),
+    ({"duration": 0}, "duration"),
+    ({"duration": -3.0}, "-3.0"),
+    ({"duration": NAN}, "nan"),
+    ({"duration": "long"}, "'long'"),
+    ({"rate": 0.5}, "rate must lie between 1 and 100"),
+    ({"rate": 1000.0}, "1000.0"),
+    ({"rate": "10"}, "rate"),
+    ({"rate": True}, "rate"),
+    ({"reward": "rms"}, "'rms'. Did you mean 'rmse'"),
+    ({"reward": None}, "None"),
+    ({"actions": ["fadin"]}, "'fadin'. Did you mean 'fading'"),
+    ({"actions": "noise"}, "'noise'"),
+    ({"actions": []}, "no knob"),
+    ({"actions": 3}, "3"),
+    ({"filter": "srukf-jospeh"}, "srukf-joseph"),
+    ({"filter": "ukf-joseph"}, "'ukf-joseph' carries a covariance"),
+    ({"filter": None}, "None"),
+    ({"kappa": -1.0}, "kappa must be a non-negative number, got -1.0"),
+    ({"kappa": NAN}, "kappa"),
+    ({"kappa": "1"}, "'1'"),
+    ({"decision_interval": 0}, "decision_interval"),
+    ({"decision_interval": 1.5}, "1.5"),
+    ({"recording": np.zeros((1, 4, 3))}, "ndarray"),
+    ({"radar_position": (0.0, 0.0, 0.0)}, "give a track too"),
+    ({"faults": "randm"}, "'randm'. Did you mean 'random'"),
+    ({"faults": None}, "None"),
+    ({"faults": Jamming()}, "list of fault objects"),
+    ({"faults": [Jamming]}, "Jamming"),
+    ({"faults": ["jamming"]}, "'jamming' is no fault"),
+    ({"faults": {"jaming": {}}}, "'jaming'. Did you mean 'jamming'"),
+    ({"faults": {"jamming": {"strt": 1}}}, "'strt'. Did you mean 'start'"),
+    ({"faults": {"jamming": None}}, "None"),
+    ({"faults": {"jamming": {"factor": [-1.0, 2.0]}}}, "Jamming.factor"),
+    ({"faults": {"glint": {"fraction": 1.5}}}, "Glint.fraction"),
+]
+
+
+@every_environment
+@pytest.mark.parametrize(("keywords", "culprit"), WRONG, ids=lambda value: str(value)[:40])
+def test_keyword_arguments(env_id, keywords, culprit):
+    kind = TypeError if "durationn" in keywords else ValueError
+    for maker in (gym.make, lambda *a, **k: gym.make_vec(*a, num_envs=2, **k)):
+        assert culprit in complaint(kind, maker, env_id, **keywords)
+
+
+@pytest.mark.parametrize(
+    "deviation",
+    [(0.0, 1.0, 1.0), (20.0, -1.0, 1.0), (20.0, 1.0), (), 20.0, (20.0, NAN, 1.0), (1, "a", 2)],
+)
+def test_zero_negative_or_misshapen_noise(deviation):
+    said = complaint(ValueError, gym.make, VALIDATION, noise_deviation=deviation)
+    assert "noise_deviation must hold three positive numbers" in said and str(deviation) in said
+
+
+def test_what_only_one_scenario_refuses():
+    assert "published for 5 Hz" in complaint(ValueError, gym.make, VALIDATION, rate=5.0)
+    assert "600 s" in complaint(ValueError, gym.make, TRACKING, duration=601.0)
+    assert "'noise_deviation'" in complaint(TypeError, gym.make, TRACKING, noise_deviation=1)
+    assert "'rain'" in complaint(ValueError, gym.make, VALIDATION, faults={"rain": {}})
+    for fault in (Rain(), SelfScreeningJammer()):
+        assert "radar equation" in complaint(ValueError, gym.make, VALIDATION, faults=[fault])
+
+
+@pytest.mark.parametrize(
+    ("fault", "field", "value"),
+    [
+        (fault, field, value)
+        for fault, field in [
+            (Jamming, "duration"), (Jamming, "factor"), (SignalLoss, "duration"),
+            (NoiseMisreport, "factor"),
+        ]
+        for value in [(0.0, 1.0), (-1.0, 1.0), (2.0, 1.0), 3.0, (1.0,), (1.0, NAN),
+                      (1.0, INFINITE), ("a", "b"), None]
+    ]
+    + [(Jamming, "bursts", value) for value in [(-1, 2), (2, 1), (1.5, 2.5), 2]]
+    + [(Jamming, "start", value) for value in [-1.0, NAN, "noon"]]
+    + [(SignalLoss, "start", -1.0), (SelfScreeningJammer, "start", None)]
+    + [(SelfScreeningJammer, "duration", value) for value in [0.0, -3.0, NAN, "a"]]
+    + [(Rain, "rate", value) for value in [(-1.0, 2.0), (0.0, INFINITE), 50.0]]
+    + [(Glint, "factor", value) for value in [0.0, -8.0, NAN, INFINITE, "8"]]
+    + [(Glint, name, v) for name in ("probability", "fraction") for v in (-0.1, 1.1, NAN, "a")],
+)  # fmt: skip
+def test_ranges_of_faults(fault, field, value):
+    said = complaint(ValueError, fault, **{field: value})
+    assert fault.__name__ in said and field in said and repr(value) in said
+
+
+@every_environment
+def test_a_fault_that_makes_noise_negative_is_found(env_id):
+    class Silence:
+        label = "silence"
+
+        def apply(self, draft, rng):
+            draft.noise_factor[3] = 0.0
+
+    env = make(env_id, faults=[Silence()])
+    assert "Recording.true_noise must be positive" in complaint(ValueError, env.reset, seed=0)
+
+
+# ----- actions, seeds, order of calls ---------------------------------------------------
+
+
+@every_environment
+def test_actions(env_id):
+    env, vector = make(env_id), make_vec(env_id, 2)
+    env.reset(seed=0), vector.reset(seed=0)
+    said = complaint(ValueError, env.step, np.zeros(4))
+    assert "(4,)" in said and "(5,)" in said
+    assert "shape ()" in complaint(ValueError, env.step, 0.0)
+    assert "(5,)" in complaint(ValueError, vector.step, np.zeros(5))
+    for environment, shape in ((env, (5,)), (vector, (2, 5))):
+        action = np.zeros(shape)
+        action.flat[-1] = NAN
+        assert "NaN" in complaint(ValueError, environment.step, action)
+        environment.step(np.zeros(shape))  # unharmed
+
+
+@every_environment
+@pytest.mark.parametrize("mode", ["next_step", "same_step", "disabled"])
+def test_step_before_reset(env_id, mode):
+    assert "reset()" in complaint(RuntimeError, make(env_id).step, np.zeros(5))
+    vector = make_vec(env_id, 3, autoreset_mode=mode)
+    said = complaint(RuntimeError, vector.step, np.zeros((3, 5)))
+    assert "3 sub-environments" in said and "reset()" in said
+    vector.reset(options={"reset_mask": np.array([True, False, True])})
+    assert "1 sub-environments" in complaint(RuntimeError, vector.step, np.zeros((3, 5)))
+
+
+@every_environment
+def test_step_after_the_end(env_id):
+    env, vector = make(env_id, duration=0.2), make_vec(env_id, 2, duration=0.2,
+                                                       autoreset_mode="disabled")  # fmt: skip
+    env.reset(seed=0), vector.reset(seed=0)
+    for _ in range(3):
+        env.step(np.zeros(5)), vector.step(np.zeros((2, 5)))
+    assert "reset()" in complaint(RuntimeError, env.step, np.zeros(5))
+    assert "reset_mask" in complaint(RuntimeError, vector.step, np.zeros((2, 5)))
+
+
+@every_environment
+def test_vector_arguments(env_id):
+    say = complaint(ValueError, gym.make_vec, env_id, num_envs=2, autoreset_mode="next")
+    assert "'next'. Did you mean 'next_step'" in say
+    for number in (0, -1, 1.5, True):
+        assert str(number) in complaint(ValueError, gym.make_vec, env_id, num_envs=number)
+    say = complaint(ValueError, gym.make_vec, env_id, num_envs=2, render_mode="rgb_array")
+    assert "gym.make" in say
+    vector = make_vec(env_id, 2)
+    assert "3 seeds" in complaint(ValueError, vector.reset, seed=[1, 2, 3])
+    for mask in (np.zeros(2, bool), np.ones(3, bool), np.ones(2)):
+        said = complaint(ValueError, vector.reset, options={"reset_mask": mask})
+        assert "reset_mask" in said
+
+
+@every_environment
+def test_render_mode(env_id):
+    with pytest.warns(UserWarning, match="rgb"):  # Gymnasium's, before ours
+        assert "'rgb'" in complaint(ValueError, gym.make, env_id, render_mode="rgb")
+
+
+# ----- recordings -----------------------------------------------------------------------
+
+
+def nan_in(array):
+    array.flat[4] = NAN
+
+
+def repeat(array):
+    array[3] = array[2]
+
+
+def upper(array):
+    array[:, 0, 1] = 1.0
+
+
+SPOILT = [
+    ("truth", nan_in, "NaN"),
+    ("noise", nan_in, "NaN"),
+    ("true_noise", nan_in, "NaN"),
+    ("mean", nan_in, "NaN"),
+    ("time", nan_in, "time"),
+    ("time", repeat, "duplicate"),
+    ("noise", lambda a: a.fill(0.0), "positive"),
+    ("noise", lambda a: np.negative(a, out=a), "positive"),
+    ("measurement", lambda a: a.fill(INFINITE), "infinity"),
+    ("factor", upper, "lower triangular"),
+    ("factor", lambda a: np.negative(a, out=a), "positive diagonal"),
+]
+MISSHAPEN = [
+    ("truth", (2, 40, 9)), ("noise", (2, 41, 2)), ("mean", (1, 9)), ("factor", (2, 9)),
+    ("time", (40,)), ("motion_inputs", (2, 41)), ("measurement", (41, 3)), ("true_noise", (1,)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "spoil", "reason"), SPOILT)
+def test_values_of_a_recording(name, spoil, reason):
+    said = complaint(ValueError, change, draw(TRACKING, range(2)), **{name: spoil})
+    assert f"Recording.{name}" in said and reason in said
+
+
+@pytest.mark.parametrize(("name", "shape"), MISSHAPEN)
+def test_shapes_of_a_recording(name, shape):
+    said = complaint(ValueError, change, draw(TRACKING, range(2)), **{name: np.ones(shape)})
+    assert name in said and str(shape) in said
+
+
+@every_environment
+def test_a_recording_of_another_scenario(env_id):
+    recording = draw(env_id, [0])
+    two = dataclasses.replace(recording, measurement=recording.measurement[..., :2],
+                              noise=recording.noise[..., :2], true_noise=None)  # fmt: skip
+    assert "2 channels" in complaint(ValueError, gym.make, env_id, recording=two)
+    more = change(recording, motion_inputs=np.zeros((1, len(recording.time), 2)))
+    assert "2 motion inputs" in complaint(ValueError, gym.make, env_id, recording=more)
+
+
+def test_recordings_that_cannot_be_stacked():
+    one, other = draw(TRACKING, [0]), draw(TRACKING, [0], duration=5.0)
+    assert "different times" in complaint(ValueError, stack, [one, other])
+    assert "at least one" in complaint(ValueError, stack, [])
+    unknown = change(one, truth=None)
+    for pair in ([one, unknown], [unknown, one]):
+        assert "truth" in complaint(ValueError, stack, pair)
+
+
+def test_the_arrays_given_to_a_recording_stay_ones_own():
+    recording = draw(TRACKING, [0])
+    mine = recording.measurement.copy()
+    theirs = change(recording, measurement=mine)
+    assert mine.flags.writeable and not theirs.measurement.flags.writeable
+    assert isinstance(theirs, Recording)
