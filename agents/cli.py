@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -91,6 +92,7 @@ def train(
             env, algorithm=algo, steps=steps, seed=seed, output=output, env_kwargs=kwargs,
             config_path=config, resume=resume,
         )  # fmt: skip
+        _validate(env, kwargs, seed, output)
     console.print(f"The policy is in {output / 'policy.npz'}; contest it with")
     console.print(f"  kfenv evaluate {env} --agent {output} --output {output}-evaluation")
 
@@ -180,6 +182,20 @@ def demo(
         )  # fmt: skip
 
 
+def _validate(env: str, kwargs: dict[str, Any], seed: int, output: Path) -> None:
+    """Score a trained policy on validation episodes: ``results.json`` beside it."""
+    from .evaluation import Contest, evaluate
+    from .files import write_json
+
+    scored = {key: value for key, value in kwargs.items() if key != "reward"}
+    contest = Contest(env, scored, (str(output),), 100, seed, 1, 0, "validation")
+    folder = output / "validation"
+    shutil.rmtree(folder, ignore_errors=True)  # of an earlier, shorter run
+    results = evaluate(contest, folder, processes=1)
+    write_json(output / "results.json", results)
+    console.print(_results_table(results, "validation episodes, nothing tuned"))
+
+
 def _trained(folder: Path) -> int:
     try:
         return int(json.loads((folder / "training.json").read_text())["steps"])
@@ -220,12 +236,12 @@ def _contest(
     console.print(f"Results: {output / 'results.json'}")
 
 
-def _results_table(results: list[dict[str, Any]]) -> Table:
+def _results_table(results: list[dict[str, Any]], where: str = "unseen episodes") -> Table:
     table = Table(
         "agent", "median", "mean", "std", "p95", "lost", "ANEES",
         "below fixed, %", "against fixed-tuned, m",
         box=SIMPLE_HEAD,
-        title="Position RMSE on unseen episodes, m (medians with 95 % intervals)",
+        title=f"Position RMSE on {where}, m (medians with 95 % intervals)",
         caption="lost: tracks lost, %; ANEES: 1 if consistent, lost tracks left out",
     )  # fmt: skip
     for column in table.columns:

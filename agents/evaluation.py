@@ -33,7 +33,8 @@ class Contest:
         env_id, env_kwargs: the environment; kwargs must be plain JSON values.
         agents: names or paths, see `kfenv.agents.registry.make_agent`.
         episodes: number of test episodes.
-        seed: of the test and tuning episodes.
+        seed: of the episodes.
+        split: which episodes the agents meet, "test" or "validation".
         tuning_episodes, tuning_trials: the same for every agent that has parameters.
     """
 
@@ -44,6 +45,7 @@ class Contest:
     seed: int
     tuning_episodes: int = 32
     tuning_trials: int = 60
+    split: str = "test"
 
     def __post_init__(self) -> None:
         for name, least in (("episodes", 2), ("tuning_episodes", 1), ("tuning_trials", 0)):
@@ -76,7 +78,9 @@ def evaluate(
         FileExistsError: if the folder holds anything and ``resume`` is not set.
         ValueError: if it holds another contest, or an agent is unknown.
     """
-    draw_episodes(contest.env_id, contest.env_kwargs, "test", contest.seed, 1)  # complain first
+    draw_episodes(
+        contest.env_id, contest.env_kwargs, contest.split, contest.seed, 1
+    )  # complain first
     _admit(output, contest, resume)
     names = list(dict.fromkeys((*YARDSTICKS, *contest.agents)))
     todo = [name for name in names if not _scores_path(output, name).exists()]
@@ -101,7 +105,7 @@ def run_agent(contest: Contest, name: str) -> tuple[Scores, dict[str, float]]:
     if contest.tuning_trials > 0:
         recording = draw_episodes(*options, "tuning", contest.seed, contest.tuning_episodes)
         agent = tune(agent, *options, recording, contest.tuning_trials, contest.seed)
-    recording = draw_episodes(*options, "test", contest.seed, contest.episodes)
+    recording = draw_episodes(*options, contest.split, contest.seed, contest.episodes)
     return rollout(agent, *options, recording, contest.seed), agent.values
 
 

@@ -93,7 +93,7 @@ def _episode(contest: Contest, results: Sequence[dict[str, Any]], output: Path) 
     fixed = read_scores(output, "fixed").rmse
     chosen = int(np.argsort(fixed)[len(fixed) // 2])
     recording = draw_episodes(
-        contest.env_id, contest.env_kwargs, "test", contest.seed, contest.episodes
+        contest.env_id, contest.env_kwargs, contest.split, contest.seed, contest.episodes
     )[[chosen]]
     figure = Figure((9.0, 6.0), layout="constrained")
     top, bottom = figure.subplots(2, sharex=True, height_ratios=(3, 2))

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-
 from kfenv.agents.agent import Contest, channels_of, knob_actions
 from kfenv.agents.registry import AGENTS, make_agent
+
 from kfenv.envs.knobs import actions_for, knobs_of
 from kfenv.models.radar import radar
 from kfenv.scenarios.radar_tracking import RadarTracking

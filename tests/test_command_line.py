@@ -8,9 +8,8 @@ import sys
 import time
 
 import pytest
-from typer.testing import CliRunner
-
 from kfenv.agents.cli import app
+from typer.testing import CliRunner
 
 ENV = "kfenv/RadarTracking-v0"
 QUICK = ["--episodes", "3", "--tuning-trials", "2", "--tuning-episodes", "2", "--processes", "1",

@@ -4,12 +4,12 @@ import json
 
 import numpy as np
 import pytest
-
-import kfenv  # noqa: F401
 from kfenv.agents.evaluation import Contest, evaluate, median_interval, read_scores
 from kfenv.agents.registry import make_agent
 from kfenv.agents.rollout import SPLITS, draw_episodes, episode_rngs, rollout, scenario_and_options
 from kfenv.agents.tuning import tune
+
+import kfenv  # noqa: F401
 from kfenv.filters.engine import Engine
 
 ENV = "kfenv/RadarTracking-v0"

@@ -37,8 +37,9 @@ def test_levels_at_ten_kilometres():
 def test_the_echo_falls_with_the_fourth_power_the_jammer_with_the_second(times):
     broadside = {"azimuth": 0.0, "elevation": 0.0}
     flat = PhasedArray(boresight_elevation=0.0)
-    loss = db(flat.signal_to_noise(10e3, **broadside) / flat.signal_to_noise(times * 10e3,
-                                                                             **broadside))
+    loss = db(
+        flat.signal_to_noise(10e3, **broadside) / flat.signal_to_noise(times * 10e3, **broadside)
+    )
     assert loss == pytest.approx(40.0 * np.log10(times), abs=1e-3)
     loss = db(RADAR.jammer_to_noise(10e3) / RADAR.jammer_to_noise(times * 10e3))
     assert loss == pytest.approx(20.0 * np.log10(times), abs=1e-9)

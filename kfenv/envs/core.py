@@ -136,9 +136,7 @@ class Core:
         Returns:
             Reward, terminated and truncated, each (B,); zero and False where not running.
         """
-        statistics.turn_knobs(
-            action, self._log_low, self._log_high, self.knob_place, self.factors
-        )
+        statistics.turn_knobs(action, self._log_low, self._log_high, self.knob_place, self.factors)
         self._action[running] = action[running]
         squared, nominal, count = np.zeros((3, self.batch))
         active, begin = running.copy(), self.index.copy()

@@ -499,8 +499,19 @@ class Header(Panel):
             entries.append(Line2D([], [], color=MEASUREMENT, marker="o", ls="", mec="none", ms=5,
                                   label="measurements"))  # fmt: skip
         if history.truth is not None:
-            entries.append(Line2D([], [], color=TRUTH, lw=6, marker="+", mec=INK, ms=9,
-                                  mew=1.5, label="true track"))
+            entries.append(
+                Line2D(
+                    [],
+                    [],
+                    color=TRUTH,
+                    lw=6,
+                    marker="+",
+                    mec=INK,
+                    ms=9,
+                    mew=1.5,
+                    label="true track",
+                )
+            )
         self.axes.legend(
             handles=entries, loc="center right", bbox_to_anchor=(1.0, 0.12), ncols=len(entries),
             frameon=False, fontsize=10, labelcolor=INK, borderaxespad=0.0, borderpad=0.0,
@@ -549,9 +560,7 @@ def _new_figure(window: bool, title: str) -> Figure:
     return figure
 
 
-def _build(
-    figure: Figure, scenario: Any, knobs: Sequence[Knob], history: History
-) -> list[Panel]:
+def _build(figure: Figure, scenario: Any, knobs: Sequence[Knob], history: History) -> list[Panel]:
     """Lay the panels out; the close-up comes before the map, which frames it."""
     figure.clear()
     figure.set_facecolor("white")

@@ -7,6 +7,7 @@ from functools import lru_cache, partial
 from math import sqrt
 from pathlib import Path
 from types import FunctionType, ModuleType
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -19,6 +20,34 @@ from kfenv.models.namespaces import compiled, lanes
 from kfenv.models.namespaces.lanes import LANES
 
 Array = NDArray[np.float64]
+
+
+class Scratch(NamedTuple):
+    """The kernel's working arrays, each (size, 8): matrices flat, one lane per filter."""
+
+    posterior: Array
+    predicted: Array
+    S: Array  # factor before the step in hand: of the posterior, or the propagated root
+    L: Array  # predicted factor
+    Q: Array  # factor of the process noise
+    u: Array
+    s: Array
+    dt: Array
+    scales: Array  # roots of the knobs fading and process noise
+    z: Array
+    sd: Array
+    arrived: Array  # 1 for a channel that arrived, otherwise 0
+    count: Array
+    innovation: Array
+    variance: Array
+    whitened: Array
+    X: Array  # sigma points, a row per state
+    Z: Array  # measured sigma points, a row per channel
+    A: Array  # rows to be triangularised
+    U: Array  # statistical H S (SPEC section 9)
+    Re: Array  # factor of linearisation error and measurement noise
+    C: Array  # innovation factor
+    K: Array  # gain, a row per channel
 
 
 class Engine:
@@ -47,13 +76,7 @@ class Engine:
         self._kernel = _kernel(motion, sensor, self.kappa)
         n, m = len(motion.states), len(sensor.channels)
         self._n, self._m = n, m
-        # Rows of eight lanes, in the order in which the kernel unpacks them.
-        states = (n, n, n * n, n * n, n * n, len(motion.inputs), len(sensor.inputs), 1, 2)
-        channels = (m, m, m, 1, m, m, m)
-        points = (n * (2 * n + 1), m * (2 * n + 1), max(n * (n + m), m * (m + n + 1)))
-        gains = (m * n, m * m, m * m, m * n)
-        sizes = (*states, *channels, *points, *gains)
-        self._scratch = tuple(np.zeros((size, LANES)) for size in sizes)
+        self._scratch = _scratch(n, m, len(motion.inputs), len(sensor.inputs))
 
     def __reduce__(self):
         return Engine, (self.motion, self.sensor, self.kappa)
@@ -150,6 +173,17 @@ class Engine:
             self._scratch, *result,
         )  # fmt: skip
         return result
+
+
+def _scratch(n: int, m: int, p: int, k: int) -> Scratch:
+    points = 2 * n + 1
+    sizes = Scratch(
+        posterior=n, predicted=n, S=n * n, L=n * n, Q=n * n, u=p, s=k, dt=1, scales=2,
+        z=m, sd=m, arrived=m, count=1, innovation=m, variance=m, whitened=m,
+        X=n * points, Z=m * points, A=max(n * (n + m), m * (m + n + 1)),
+        U=m * n, Re=m * m, C=m * m, K=m * n,
+    )  # fmt: skip
+    return Scratch(*(np.zeros((size, LANES)) for size in sizes))
 
 
 def _rows(matrices: Array) -> Array:

@@ -8,7 +8,8 @@ closures, Numba finds its cache again in the next process.
 
 Eight filters run side by side, one per lane of a vector. Scratch matrices are arrays
 (rows * columns, 8); ``load`` and ``store`` take a flat index. No lane sees another, so
-a filter's bits do not depend on its neighbours. A missing channel keeps its row with
+a filter's bits do not depend on its neighbours. ``w`` is the engine's `Scratch`; its
+arrays are overwritten from one step to the next. A missing channel keeps its row with
 zero slope, unit noise and zero innovation, and since the noise stands first in the
 rows that are triangularised, it changes no bit of the others.
 """
@@ -148,94 +149,94 @@ def _predict_lanes(mean, factor, u, dt, new_mean, root, noise, X):
 
 
 @njit(**FLOATING_POINT)
-def _innovate_lanes(mean, factor, s, z, sd, arrived, innovation, variance, whitened,
-                    X, Z, A, U, Re, C):  # fmt: skip
+def _innovate_lanes(w):
     """Innovation, its variance and whitened form; fills U, Re and C (SPEC section 9)."""
-    inputs = sensor_components(s)
-    _draw(mean, factor, X)
+    inputs = sensor_components(w.s)
+    _draw(w.predicted, w.L, w.X)
     for j in range(P):
-        store_channels(Z, j, measure(state_components(X, j), inputs))
+        store_channels(w.Z, j, measure(state_components(w.X, j), inputs))
     width = M + N + 1
     for c in range(M):
-        row, here = c * P, load(arrived, c)
-        centre = load(Z, row)
-        offset = _mean_offset(Z, row, CHANNEL_IS_ANGLE[c])
-        nu = load(z, c) - centre - offset
+        row, here = c * P, load(w.arrived, c)
+        centre = load(w.Z, row)
+        offset = _mean_offset(w.Z, row, CHANNEL_IS_ANGLE[c])
+        nu = load(w.z, c) - centre - offset
         if CHANNEL_IS_ANGLE[c]:
             nu = wrap(nu)
-        store(innovation, c, where_greater(here, 0.5, nu, 0.0))
+        store(w.innovation, c, where_greater(here, 0.5, nu, 0.0))
         for j in range(M):
-            store(A, c * width + j, spread(0.0))
-        store(A, c * width + c, load(sd, c))
+            store(w.A, c * width + j, spread(0.0))
+        store(w.A, c * width + c, load(w.sd, c))
         for j in range(N):
-            plus, minus = load(Z, row + 1 + j), load(Z, row + 1 + N + j)
+            plus, minus = load(w.Z, row + 1 + j), load(w.Z, row + 1 + N + j)
             slope, bend = ODD * (plus - minus), EVEN * (plus + minus - 2.0 * offset)
-            store(U, c * N + j, where_greater(here, 0.5, slope, 0.0))
-            store(A, c * width + M + j, where_greater(here, 0.5, bend, 0.0))
+            store(w.U, c * N + j, where_greater(here, 0.5, slope, 0.0))
+            store(w.A, c * width + M + j, where_greater(here, 0.5, bend, 0.0))
         centred = where_greater(here, 0.5, -ROOT_CENTRE_WEIGHT * offset, 0.0)
-        store(A, c * width + M + N, centred)
-    _triangularise(A, Re, _plain(M), width)
+        store(w.A, c * width + M + N, centred)
+    _triangularise(w.A, w.Re, _plain(M), width)
     width = M + N
     for c in range(M):
         for q in range(M):
-            store(A, c * width + q, load(Re, c * M + q) if q <= c else spread(0.0))
+            store(w.A, c * width + q, load(w.Re, c * M + q) if q <= c else spread(0.0))
         for j in range(N):
-            store(A, c * width + M + j, load(U, c * N + j))
-    _triangularise(A, C, _plain(M), width)
+            store(w.A, c * width + M + j, load(w.U, c * N + j))
+    _triangularise(w.A, w.C, _plain(M), width)
     for c in range(M):
-        residual = load(innovation, c)
-        diagonal = load(C, c * M + c)
+        residual = load(w.innovation, c)
+        diagonal = load(w.C, c * M + c)
         total = diagonal * diagonal
         for q in range(c):
-            entry = load(C, c * M + q)
-            residual = residual - entry * load(whitened, q)
+            entry = load(w.C, c * M + q)
+            residual = residual - entry * load(w.whitened, q)
             total = total + entry * entry
-        store(whitened, c, residual / diagonal)
-        store(variance, c, total)
+        store(w.whitened, c, residual / diagonal)
+        store(w.variance, c, total)
 
 
 @njit(**FLOATING_POINT)
-def _correct_lanes(mean, factor, count, innovation, U, Re, C, K, A, new_mean, new_factor):
+def _correct_lanes(w):
     """K = S U^T C^-T C^-1 and S+ = tria[S - K U, K Re]; K is held one row a channel."""
+    count = load(w.count, 0)
     for c in range(M):
-        inverse = 1.0 / load(C, c * M + c)
+        inverse = 1.0 / load(w.C, c * M + c)
         for i in range(N):
             value = spread(0.0)
             for k in range(i + 1):
-                value = value + load(factor, i * N + k) * load(U, c * N + k)
+                value = value + load(w.L, i * N + k) * load(w.U, c * N + k)
             for q in range(c):
-                value = value - load(C, c * M + q) * load(K, q * N + i)
-            store(K, c * N + i, value * inverse)
+                value = value - load(w.C, c * M + q) * load(w.K, q * N + i)
+            store(w.K, c * N + i, value * inverse)
     for c in range(M - 1, -1, -1):
-        inverse = 1.0 / load(C, c * M + c)
+        inverse = 1.0 / load(w.C, c * M + c)
         for i in range(N):
-            value = load(K, c * N + i)
+            value = load(w.K, c * N + i)
             for q in range(c + 1, M):
-                value = value - load(C, q * M + c) * load(K, q * N + i)
-            store(K, c * N + i, value * inverse)
+                value = value - load(w.C, q * M + c) * load(w.K, q * N + i)
+            store(w.K, c * N + i, value * inverse)
     width = N + M
     for i in range(N):
-        value = load(mean, i)
+        value = load(w.predicted, i)
         for j in range(N):
-            entry = load(factor, i * N + j) if j <= i else spread(0.0)
+            entry = load(w.L, i * N + j) if j <= i else spread(0.0)
             for c in range(M):
-                entry = entry - load(K, c * N + i) * load(U, c * N + j)
-            store(A, i * width + j, entry)
+                entry = entry - load(w.K, c * N + i) * load(w.U, c * N + j)
+            store(w.A, i * width + j, entry)
         for q in range(M):
             entry = spread(0.0)
             for c in range(q, M):
-                entry = entry + load(K, c * N + i) * load(Re, c * M + q)
-            store(A, i * width + N + q, entry)
+                entry = entry + load(w.K, c * N + i) * load(w.Re, c * M + q)
+            store(w.A, i * width + N + q, entry)
         for c in range(M):
-            value = value + load(K, c * N + i) * load(innovation, c)
+            value = value + load(w.K, c * N + i) * load(w.innovation, c)
         if STATE_IS_ANGLE[i]:
             value = wrap(value)
-        store(new_mean, i, where_greater(count, 0.5, value, load(mean, i)))
-    _triangularise(A, new_factor, _plain(N), width)
+        store(w.posterior, i, where_greater(count, 0.5, value, load(w.predicted, i)))
+    _triangularise(w.A, w.S, _plain(N), width)
     for i in range(N):
         for j in range(i + 1):
             k = i * N + j
-            store(new_factor, k, where_greater(count, 0.5, load(new_factor, k), load(factor, k)))
+            store(w.S, k, where_greater(count, 0.5, load(w.S, k), load(w.L, k)))
 
 
 @njit(**FLOATING_POINT)
@@ -269,23 +270,23 @@ def _scatter_factor(source, first, status, target):
 
 
 @njit(**FLOATING_POINT)
-def _gather_measurement(measurement, noise, first, z, sd, arrived, count):
+def _gather_measurement(measurement, noise, first, w):
     """Mark what arrived; what did not gets a harmless value and unit noise."""
     last = measurement.shape[0] - 1
     for lane in range(LANES):
         b = min(first + lane, last)
-        count[0, lane] = 0.0
+        w.count[0, lane] = 0.0
         for c in range(M):
             here = not isnan(measurement[b, c])
-            z[c, lane] = measurement[b, c] if here else 0.0
-            sd[c, lane] = noise[b, c] if here else 1.0
-            arrived[c, lane] = 1.0 if here else 0.0
-            count[0, lane] += arrived[c, lane]
+            w.z[c, lane] = measurement[b, c] if here else 0.0
+            w.sd[c, lane] = noise[b, c] if here else 1.0
+            w.arrived[c, lane] = 1.0 if here else 0.0
+            w.count[0, lane] += w.arrived[c, lane]
 
 
 @njit(**FLOATING_POINT)
 def _is_finite(mean, factor, lane):
-    """Whether a lane holds numbers only (math.isfinite is no test where floats may be reordered)."""
+    """Whether a lane holds nothing infinite and no NaN."""
     for i in range(N):
         if not abs(mean[i, lane]) <= LARGEST:
             return False
@@ -319,105 +320,102 @@ def _mark_missing(arrived, lane, b, innovation, variance, whitened):
 
 
 @entry_point
-def predict(mean, factor, u, dt, scratch, new_mean, root, noise, status):
+def predict(mean, factor, u, dt, w, new_mean, root, noise, status):
     """Time update of a batch. Filters whose status is not zero are left alone."""
-    m0, m1, S, L, Q, ul, sl, dtl, knobs, z, sd, arrived, count, e, v, w, X, Z, A, U, Re, C, K = scratch
     for first in range(0, mean.shape[0], LANES):
-        _gather(mean, first, m0)
-        _gather(factor, first, S)
-        _gather(u, first, ul)
-        _gather(dt, first, dtl)
-        _predict_lanes(m0, S, ul, load(dtl, 0), m1, L, Q, X)
-        _scatter(m1, first, status, new_mean)
-        _scatter_factor(L, first, status, root)
-        _scatter_factor(Q, first, status, noise)
+        _gather(mean, first, w.posterior)
+        _gather(factor, first, w.S)
+        _gather(u, first, w.u)
+        _gather(dt, first, w.dt)
+        _predict_lanes(w.posterior, w.S, w.u, load(w.dt, 0), w.predicted, w.L, w.Q, w.X)
+        _scatter(w.predicted, first, status, new_mean)
+        _scatter_factor(w.L, first, status, root)
+        _scatter_factor(w.Q, first, status, noise)
         for lane in range(min(LANES, mean.shape[0] - first)):
-            if status[first + lane] == OK and not _is_finite(m1, L, lane):
+            if status[first + lane] == OK and not _is_finite(w.predicted, w.L, lane):
                 status[first + lane] = BAD_PREDICTION
 
 
 @entry_point
-def update(mean, root, noise, scales, s, measurement, deviation, scratch, correct,
+def update(mean, root, noise, scales, s, measurement, deviation, w, correct,
            new_mean, new_factor, innovation, variance, whitened, nis, log_likelihood,
            status):  # fmt: skip
     """Measurement update of a batch; scales are the roots of fading and process scale (B, 2).
 
     Unless ``correct``, the innovation alone is formed and the predicted state returned.
     """
-    m0, m1, S, L, Q, ul, sl, dtl, knobs, z, sd, arrived, count, e, v, w, X, Z, A, U, Re, C, K = scratch
     for first in range(0, mean.shape[0], LANES):
-        _gather(mean, first, m0)
-        _gather(root, first, S)
-        _gather(noise, first, Q)
-        _gather(scales, first, knobs)
-        _gather(s, first, sl)
-        _gather_measurement(measurement, deviation, first, z, sd, arrived, count)
-        _add_noise(S, load(knobs, 0), Q, load(knobs, 1), L, A)
-        _innovate_lanes(m0, L, sl, z, sd, arrived, e, v, w, X, Z, A, U, Re, C)
+        _gather(mean, first, w.predicted)
+        _gather(root, first, w.S)
+        _gather(noise, first, w.Q)
+        _gather(scales, first, w.scales)
+        _gather(s, first, w.s)
+        _gather_measurement(measurement, deviation, first, w)
+        _add_noise(w.S, load(w.scales, 0), w.Q, load(w.scales, 1), w.L, w.A)
+        _innovate_lanes(w)
         if correct:
-            _correct_lanes(m0, L, load(count, 0), e, U, Re, C, K, A, m1, S)
-            _scatter(m1, first, status, new_mean)
-            _scatter_factor(S, first, status, new_factor)
+            _correct_lanes(w)
+            _scatter(w.posterior, first, status, new_mean)
+            _scatter_factor(w.S, first, status, new_factor)
         else:
-            _scatter(m0, first, status, new_mean)
-            _scatter_factor(L, first, status, new_factor)
-        _scatter(e, first, status, innovation)
-        _scatter(v, first, status, variance)
-        _scatter(w, first, status, whitened)
+            _scatter(w.predicted, first, status, new_mean)
+            _scatter_factor(w.L, first, status, new_factor)
+        _scatter(w.innovation, first, status, innovation)
+        _scatter(w.variance, first, status, variance)
+        _scatter(w.whitened, first, status, whitened)
         for lane in range(min(LANES, mean.shape[0] - first)):
             b = first + lane
             if status[b] != OK:
                 continue
-            _mark_missing(arrived, lane, b, innovation, variance, whitened)
-            nis[b], log_likelihood[b] = _assess(w, C, arrived, lane)
-            if count[0, lane] > 0.5 and not abs(nis[b]) <= LARGEST:
+            _mark_missing(w.arrived, lane, b, innovation, variance, whitened)
+            nis[b], log_likelihood[b] = _assess(w.whitened, w.C, w.arrived, lane)
+            if w.count[0, lane] > 0.5 and not abs(nis[b]) <= LARGEST:
                 status[b] = BAD_INNOVATION
-            elif correct and not _is_finite(m1, S, lane):
+            elif correct and not _is_finite(w.posterior, w.S, lane):
                 status[b] = BAD_UPDATE
-            elif not correct and not _is_finite(m0, L, lane):
+            elif not correct and not _is_finite(w.predicted, w.L, lane):
                 status[b] = BAD_PREDICTION
 
 
 @entry_point
-def run(mean, factor, dt, u, s, measurement, deviation, scales, scratch, means, nis, status,
+def run(mean, factor, dt, u, s, measurement, deviation, scales, w, means, nis, status,
         failed_at):  # fmt: skip
     """Filter whole recordings with constant knobs; posterior means (B, T, n)."""
-    m0, m1, S, L, Q, ul, sl, dtl, knobs, z, sd, arrived, count, e, v, w, X, Z, A, U, Re, C, K = scratch
     for first in range(0, mean.shape[0], LANES):
         lanes = min(LANES, mean.shape[0] - first)
-        _gather(mean, first, m1)
-        _gather(factor, first, S)
-        _gather(scales, first, knobs)
+        _gather(mean, first, w.posterior)
+        _gather(factor, first, w.S)
+        _gather(scales, first, w.scales)
         for t in range(measurement.shape[1]):
             if t > 0:
-                _gather(u[:, t], first, ul)
-                _predict_lanes(m1, S, ul, spread(dt[t]), m0, L, Q, X)
+                _gather(u[:, t], first, w.u)
+                _predict_lanes(w.posterior, w.S, w.u, spread(dt[t]), w.predicted, w.L, w.Q, w.X)
             else:
                 for k in range(N * N):
-                    store(Q, k, spread(0.0))
-                    store(L, k, load(S, k))
+                    store(w.Q, k, spread(0.0))
+                    store(w.L, k, load(w.S, k))
                 for i in range(N):
-                    store(m0, i, load(m1, i))
+                    store(w.predicted, i, load(w.posterior, i))
             for lane in range(lanes):
-                if status[first + lane] == OK and not _is_finite(m0, L, lane):
+                if status[first + lane] == OK and not _is_finite(w.predicted, w.L, lane):
                     status[first + lane] = BAD_PREDICTION
                     failed_at[first + lane] = t
             for k in range(N * N):
-                store(S, k, load(L, k))
-            _gather(s[:, t], first, sl)
-            _gather_measurement(measurement[:, t], deviation[:, t], first, z, sd, arrived, count)
-            _add_noise(S, load(knobs, 0), Q, load(knobs, 1), L, A)
-            _innovate_lanes(m0, L, sl, z, sd, arrived, e, v, w, X, Z, A, U, Re, C)
-            _correct_lanes(m0, L, load(count, 0), e, U, Re, C, K, A, m1, S)
+                store(w.S, k, load(w.L, k))
+            _gather(s[:, t], first, w.s)
+            _gather_measurement(measurement[:, t], deviation[:, t], first, w)
+            _add_noise(w.S, load(w.scales, 0), w.Q, load(w.scales, 1), w.L, w.A)
+            _innovate_lanes(w)
+            _correct_lanes(w)
             for lane in range(lanes):
                 b = first + lane
                 if status[b] != OK:
                     continue
-                nis[b, t] = _assess(w, C, arrived, lane)[0]
-                if count[0, lane] > 0.5 and not abs(nis[b, t]) <= LARGEST:
+                nis[b, t] = _assess(w.whitened, w.C, w.arrived, lane)[0]
+                if w.count[0, lane] > 0.5 and not abs(nis[b, t]) <= LARGEST:
                     status[b], failed_at[b] = BAD_INNOVATION, t
-                elif not _is_finite(m1, S, lane):
+                elif not _is_finite(w.posterior, w.S, lane):
                     status[b], failed_at[b] = BAD_UPDATE, t
                 else:
                     for i in range(N):
-                        means[b, t, i] = m1[i, lane]
+                        means[b, t, i] = w.posterior[i, lane]

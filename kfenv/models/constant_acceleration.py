@@ -6,7 +6,13 @@ from functools import partial
 from math import sqrt
 from types import ModuleType
 
-from kfenv.models.kinematics import NOISE_PATTERN, POSITION, STATES, VELOCITY, check_spectral_density
+from kfenv.models.kinematics import (
+    NOISE_PATTERN,
+    POSITION,
+    STATES,
+    VELOCITY,
+    check_spectral_density,
+)
 from kfenv.models.model import Motion, MotionFunctions
 
 

@@ -29,7 +29,5 @@ def check_spectral_density(density: float) -> float:
         ValueError: if it is not a positive number.
     """
     if not density > 0.0 or density == float("inf"):
-        raise ValueError(
-            f"spectral_density must be a positive number of m^2/s^5, got {density!r}."
-        )
+        raise ValueError(f"spectral_density must be a positive number of m^2/s^5, got {density!r}.")
     return float(density)

@@ -8,7 +8,13 @@ from types import ModuleType
 
 import numpy as np
 
-from kfenv.models.kinematics import NOISE_PATTERN, POSITION, STATES, VELOCITY, check_spectral_density
+from kfenv.models.kinematics import (
+    NOISE_PATTERN,
+    POSITION,
+    STATES,
+    VELOCITY,
+    check_spectral_density,
+)
 from kfenv.models.model import Motion, MotionFunctions
 
 MAX_DAMPING = 2.0  # |alpha| in the process noise, 1/s

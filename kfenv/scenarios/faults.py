@@ -239,8 +239,7 @@ def _build(name: str, parameters: Mapping[str, object], known: Mapping[str, type
         if parameter not in names:
             raise ValueError(unknown(f"parameter of the fault {name!r}:", parameter, names))
     values = {
-        key: tuple(value) if isinstance(value, list) else value
-        for key, value in parameters.items()
+        key: tuple(value) if isinstance(value, list) else value for key, value in parameters.items()
     }
     return known[name](**values)
 

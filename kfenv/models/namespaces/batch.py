@@ -1,7 +1,7 @@
 """NumPy arrays, one element per filter."""
 
-from numpy import cos, maximum, minimum, sin, sqrt
 from numpy import arctan2 as atan2
+from numpy import cos, maximum, minimum, sin, sqrt
 
 
 def function(f):
