@@ -63,7 +63,7 @@ class Core:
         self._prediction = Prediction(np.zeros((batch, n)), *np.zeros((2, batch, n, n)))
         self._pending = _empty_update(batch, n, m)
         self._update = _empty_update(batch, n, m)
-        self._rows = np.arange(batch)
+        self._rows, self._last = np.arange(batch), steps - 1
         self.index = np.zeros(batch, np.int64)
         self._scored = np.zeros(batch, np.int64)
         self.lost = np.zeros(batch, bool)
@@ -143,16 +143,11 @@ class Core:
         for _ in range(self.options.decision_interval):
             self._correct(active)
             self._score(active)
-            gone = active & ((self.status != 0) | (self.error > self.scenario.lost_distance))
-            self.lost |= gone
-            capped = np.minimum(self.error, self.scenario.lost_distance)
-            squared[active] += capped[active] ** 2
-            self.total_nees[active] += self.nees[active]
-            nominal[active] += self._nominal_error[active, self.index[active]] ** 2
-            count[active] += 1.0
-            active &= ~gone
-            self.index[active] += 1
-            active &= self.index < len(self.time)
+            statistics.account(
+                self.error, self.nees, self.status, self._nominal_error,
+                self.scenario.lost_distance, self.index, active, self.lost,
+                squared, nominal, self.total_nees, count,
+            )  # fmt: skip
             self._predict(active)
             self._look(active)
             if not active.any():
@@ -178,7 +173,11 @@ class Core:
 
     def _gather(self, name: str) -> Array:
         """What an episode holds at each filter's instant, or at the last one beyond it."""
-        return self._episode[name][self._rows, np.minimum(self.index, len(self.time) - 1)]
+        return self._episode[name][self._rows, self._instant]
+
+    @property
+    def _instant(self) -> NDArray[np.int64]:
+        return np.minimum(self.index, self._last)
 
     def _correct(self, active: Mask) -> None:
         noise = self._gather("noise") * self.factors[:, 2 + self._group]
@@ -188,20 +187,21 @@ class Core:
             self._gather("sensor_inputs"), self._gather("measurement"), noise, work,
         )  # fmt: skip
         self._update = _merge(self._update, result, active)
-        self._scored[active] = self.index[active]
-        self.status[active] = work[active]
+        np.copyto(self._scored, self.index, where=active)
+        np.copyto(self.status, work, where=active)
         failed = active & (work != 0)
-        self._update.mean[failed] = np.nan  # a failed filter's outputs are meaningless
-        self._update.nis[failed] = np.nan
+        if failed.any():  # its outputs are meaningless
+            self._update.mean[failed] = np.nan
+            self._update.nis[failed] = np.nan
 
     def _predict(self, active: Mask) -> None:
         work = np.where(active, self.status, IDLE)
-        dt = self._dt[np.minimum(self.index, len(self.time) - 1)]
+        dt = self._dt[self._instant]
         result = self.filter.predict(
             self._update.mean, self._update.factor, self._gather("motion_inputs"), dt, work
         )
         self._prediction = _merge(self._prediction, result, active)
-        self.status[active] = work[active]
+        np.copyto(self.status, work, where=active)
 
     def _look(self, active: Mask) -> None:
         """Form the pending innovation with nominal knobs and take it into the statistics."""
@@ -212,8 +212,8 @@ class Core:
             self._gather("measurement"), self._gather("noise"), work,
         )  # fmt: skip
         self._pending = _merge(self._pending, result, active)
-        self.status[active] = work[active]
-        dt = self._dt[np.minimum(self.index, len(self.time) - 1)]
+        np.copyto(self.status, work, where=active)
+        dt = self._dt[self._instant]
         statistics.collect(
             self._pending.whitened, self._group, self._statistics, self._since, dt, work
         )
@@ -226,8 +226,9 @@ class Core:
                 work, self.error, self.nees,
             )  # fmt: skip
         failed = active & (self.status != 0)
-        self.error[failed] = self.scenario.lost_distance
-        self.nees[failed] = np.nan
+        if failed.any():
+            self.error[failed] = self.scenario.lost_distance
+            self.nees[failed] = np.nan
 
     # ----- what the agent sees ------------------------------------------------------
 

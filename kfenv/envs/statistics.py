@@ -62,6 +62,31 @@ def score(mean, factor, truth, position, status, error, nees):
 
 
 @njit(cache=True)
+def account(
+    error, nees, status, nominal_error, lost_distance, index, active, lost,
+    squared, nominal, total_nees, count,
+):  # fmt: skip
+    """Book a scored instant of each active filter and move it on.
+
+    A filter that has lost its track, or has reached its episode's end, becomes inactive;
+    a lost one stays at the instant of the loss, whose error counts as the loss distance.
+    """
+    for b in range(error.shape[0]):
+        if not active[b]:
+            continue
+        squared[b] += min(error[b], lost_distance) ** 2
+        nominal[b] += nominal_error[b, index[b]] ** 2
+        total_nees[b] += nees[b]
+        count[b] += 1.0
+        if status[b] != 0 or error[b] > lost_distance:
+            lost[b] = True
+            active[b] = False
+        else:
+            index[b] += 1
+            active[b] = index[b] < nominal_error.shape[1]
+
+
+@njit(cache=True)
 def collect(whitened, group_of_channel, statistics, since, dt, status):
     """Take a pending innovation into the running statistics of each running filter."""
     groups = statistics.shape[1]

@@ -23,7 +23,10 @@ Array = NDArray[np.float64]
 
 
 class Scratch(NamedTuple):
-    """The kernel's working arrays, each (size, 8): matrices flat, one lane per filter."""
+    """The kernel's working arrays, each (size, 8): matrices flat, one lane per filter.
+
+    They are parts of one array, since every array costs time when a kernel is called.
+    """
 
     posterior: Array
     predicted: Array
@@ -76,7 +79,8 @@ class Engine:
         self._kernel = _kernel(motion, sensor, self.kappa)
         n, m = len(motion.states), len(sensor.channels)
         self._n, self._m = n, m
-        self._scratch = _scratch(n, m, len(motion.inputs), len(sensor.inputs))
+        sizes = _scratch_sizes(n, m, len(motion.inputs), len(sensor.inputs))
+        self._scratch = np.zeros((sum(sizes), LANES))
 
     def __reduce__(self):
         return Engine, (self.motion, self.sensor, self.kappa)
@@ -136,7 +140,7 @@ class Engine:
         )
         self._kernel.update(
             prediction.mean, _rows(prediction.root), _rows(prediction.noise),
-            np.sqrt(np.stack((fading, process_scale), axis=1)), s, z, sd, self._scratch, correct,
+            _roots(fading, process_scale), s, z, sd, self._scratch, correct,
             result.mean, _rows(result.factor), *result[2:], status,
         )  # fmt: skip
         return result
@@ -167,7 +171,7 @@ class Engine:
             np.full((batch, steps, self._n), np.nan), np.full((batch, steps), np.nan),
             np.zeros(batch, np.int64), np.full(batch, -1),
         )  # fmt: skip
-        scales = np.sqrt(np.stack((fading, process_scale), axis=1))
+        scales = _roots(fading, process_scale)
         self._kernel.run(
             mean, _rows(factor), np.diff(time, prepend=time[:1]), u, s, z, sd, scales,
             self._scratch, *result,
@@ -175,15 +179,23 @@ class Engine:
         return result
 
 
-def _scratch(n: int, m: int, p: int, k: int) -> Scratch:
+def _scratch_sizes(n: int, m: int, p: int, k: int) -> Scratch:
+    """Rows of each working array for n states, m channels, p motion and k sensor inputs."""
     points = 2 * n + 1
-    sizes = Scratch(
+    return Scratch(
         posterior=n, predicted=n, S=n * n, L=n * n, Q=n * n, u=p, s=k, dt=1, scales=2,
         z=m, sd=m, arrived=m, count=1, innovation=m, variance=m, whitened=m,
         X=n * points, Z=m * points, A=max(n * (n + m), m * (m + n + 1)),
         U=m * n, Re=m * m, C=m * m, K=m * n,
     )  # fmt: skip
-    return Scratch(*(np.zeros((size, LANES)) for size in sizes))
+
+
+def _roots(fading: Array, process_scale: Array) -> Array:
+    """Square roots of the two covariance factors, (B, 2)."""
+    scales = np.empty((len(fading), 2))
+    np.sqrt(fading, out=scales[:, 0])
+    np.sqrt(process_scale, out=scales[:, 1])
+    return scales
 
 
 def _rows(matrices: Array) -> Array:
@@ -235,7 +247,7 @@ def _entry_point(function: FunctionType, identity: str):
 
 
 def _accessors(n: int, m: int, p: int, k: int) -> dict:
-    """Functions between scratch rows and tuples: Numba has no tuple of computed length."""
+    """Functions between rows and tuples: Numba has no tuple of computed length."""
     points = 2 * n + 1
 
     def gather(count: int, stride: int, offset: str) -> str:
@@ -251,6 +263,10 @@ def _accessors(n: int, m: int, p: int, k: int) -> dict:
         f"def store_state(v, j, y): {scatter(n)}\n"
         f"def store_channels(v, j, y): {scatter(m)}\n"
     )
+    ends = np.cumsum(_scratch_sizes(n, m, p, k)).tolist()
+    slices = (f"v[{start}:{end}]" for start, end in zip([0, *ends], ends, strict=False))
+    source += f"def scratch_of(v): return Scratch({', '.join(slices)})\n"
     functions: dict = {}
-    exec(source, {"load": lanes.load, "store": lanes.store, "lift": lanes.lift}, functions)
+    names = {"load": lanes.load, "store": lanes.store, "lift": lanes.lift, "Scratch": Scratch}
+    exec(source, names, functions)
     return {name: compiled.function(f) for name, f in functions.items()}

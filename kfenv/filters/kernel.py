@@ -320,8 +320,9 @@ def _mark_missing(arrived, lane, b, innovation, variance, whitened):
 
 
 @entry_point
-def predict(mean, factor, u, dt, w, new_mean, root, noise, status):
+def predict(mean, factor, u, dt, scratch, new_mean, root, noise, status):
     """Time update of a batch. Filters whose status is not zero are left alone."""
+    w = scratch_of(scratch)
     for first in range(0, mean.shape[0], LANES):
         _gather(mean, first, w.posterior)
         _gather(factor, first, w.S)
@@ -337,13 +338,14 @@ def predict(mean, factor, u, dt, w, new_mean, root, noise, status):
 
 
 @entry_point
-def update(mean, root, noise, scales, s, measurement, deviation, w, correct,
+def update(mean, root, noise, scales, s, measurement, deviation, scratch, correct,
            new_mean, new_factor, innovation, variance, whitened, nis, log_likelihood,
            status):  # fmt: skip
     """Measurement update of a batch; scales are the roots of fading and process scale (B, 2).
 
     Unless ``correct``, the innovation alone is formed and the predicted state returned.
     """
+    w = scratch_of(scratch)
     for first in range(0, mean.shape[0], LANES):
         _gather(mean, first, w.predicted)
         _gather(root, first, w.S)
@@ -378,9 +380,10 @@ def update(mean, root, noise, scales, s, measurement, deviation, w, correct,
 
 
 @entry_point
-def run(mean, factor, dt, u, s, measurement, deviation, scales, w, means, nis, status,
+def run(mean, factor, dt, u, s, measurement, deviation, scales, scratch, means, nis, status,
         failed_at):  # fmt: skip
     """Filter whole recordings with constant knobs; posterior means (B, T, n)."""
+    w = scratch_of(scratch)
     for first in range(0, mean.shape[0], LANES):
         lanes = min(LANES, mean.shape[0] - first)
         _gather(mean, first, w.posterior)
