@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -47,7 +48,7 @@ class Parameter:
     default: float
 
 
-class Agent:
+class Agent(ABC):
     """Base of all agents: reset once per contest, then one action per decision.
 
     Class attributes:
@@ -70,9 +71,9 @@ class Agent:
         """Forget the last contest."""
         self.contest = contest
 
+    @abstractmethod
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
         """Actions (B, K) for observations (B, D) and the arrays of the info dictionary."""
-        raise NotImplementedError
 
     def with_values(self, values: Mapping[str, float]) -> Agent:
         """The same agent with other parameters."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
@@ -101,7 +102,7 @@ class SelfScreeningJammer:
 
 
 @dataclass(frozen=True)
-class RadarScenario:
+class RadarScenario(ABC):
     """A target seen by a radar at the origin; see the environments' pages for the fields."""
 
     duration: float
@@ -133,7 +134,7 @@ class RadarScenario:
             )
         resolve_faults(self.faults, self.presets, self.known_faults)
         if self.track is not None:
-            _flight(self.track)
+            _flight(self.track).random_start(np.random.default_rng(0), self.duration)  # complains
 
     def __reduce__(self):
         # Without what is derived: compiled and local functions cannot be pickled.
@@ -144,10 +145,10 @@ class RadarScenario:
         """Range, azimuth and elevation."""
         return radar()
 
-    @cached_property
+    @property
+    @abstractmethod
     def motion(self) -> Motion:
         """What the filter believes about the target's motion."""
-        raise NotImplementedError
 
     @cached_property
     def time(self) -> Array:
@@ -172,7 +173,7 @@ class RadarScenario:
         flight = _flight(self.track)
         if self.radar_position is None:
             return tracks.window(rng, flight, self.time)
-        start = rng.uniform(0.0, max(flight.duration - self.duration, 0.0))
+        start = flight.random_start(rng, self.duration)
         return tracks.from_radar(flight, self.radar_position, start + self.time)
 
     def spoil(self, draft: RadarDraft, rng: Generator) -> None:
@@ -180,9 +181,9 @@ class RadarScenario:
         for fault in resolve_faults(self.faults, self.presets, self.known_faults):
             fault.apply(draft, rng)
 
+    @abstractmethod
     def noise(self, draft: RadarDraft, snr: Array) -> Array:
         """Standard deviations (T, 3) at a given signal to noise, before the faults' factors."""
-        raise NotImplementedError
 
     def draft(self, truth: Array) -> RadarDraft:
         """The clean episode."""
