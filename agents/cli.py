@@ -52,17 +52,16 @@ def envs() -> None:
 
     import kfenv
 
-    table = Table("id", "what", "observes", "knobs", "rate", "episode")
+    table = Table("id", "what", "observes", "knobs", "rate", "episode", box=SIMPLE_HEAD)
     for env_id in kfenv.ENVIRONMENTS:
-        env = gymnasium.make(env_id)
-        core = env.unwrapped
+        env = gymnasium.make(env_id).unwrapped
         table.add_row(
             env_id,
-            core.scenario_class.__doc__.splitlines()[0],
+            type(env).__doc__.splitlines()[0],
             str(env.observation_space.shape[0]),
             str(env.action_space.shape[0]),
-            f"{core.scenario.rate:g} Hz",
-            f"{core.scenario.duration:g} s",
+            f"{env.scenario.rate:g} Hz",
+            f"{env.scenario.duration:g} s",
         )
     console.print(table)
     console.print("Their pages: python -c \"import gymnasium, kfenv; "
@@ -74,7 +73,7 @@ def train(
     env: Environment,
     output: Annotated[Path, typer.Option(help="New folder for checkpoint, policy and logs.")],
     algo: Annotated[str, typer.Option(help="'ppo' or 'sac'.")] = "ppo",
-    steps: Annotated[int, typer.Option(min=1, help="Environment steps in all.")] = 2_000_000,
+    steps: Annotated[int, typer.Option(min=1, help="Environment steps in all.")] = 5_000_000,
     seed: Seed = 0,
     config: Annotated[
         Path | None, typer.Option(help="TOML file with settings that differ from the defaults.")
@@ -153,7 +152,7 @@ def demo(
         "demo"
     ),
     seed: Seed = 0,
-    steps: Annotated[int, typer.Option(min=1, help="Training steps.")] = 2_000_000,
+    steps: Annotated[int, typer.Option(min=1, help="Training steps.")] = 5_000_000,
     episodes: Annotated[int, typer.Option(min=2, help="Unseen episodes.")] = 200,
     resume: Resume = False,
 ) -> None:
