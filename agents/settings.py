@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import tomllib
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -15,7 +16,7 @@ from .policy import ACTIVATIONS
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(ABC):
     """What every algorithm needs; the defaults are in `agents/config/ALGORITHM.toml`."""
 
     num_envs: int
@@ -40,9 +41,9 @@ class Settings:
     """Processor cores that the gradient computation may use."""
 
     @property
+    @abstractmethod
     def block(self) -> int:
         """Environment steps between two updates; a run is a whole number of them."""
-        raise NotImplementedError
 
     def __post_init__(self) -> None:
         """Check what the types cannot say."""

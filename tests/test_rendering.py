@@ -8,8 +8,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from kfenv.envs.history import measured_positions, merged
+from kfenv.envs.panels import ellipse
 from kfenv.envs.radar import RadarTrackingEnv
-from kfenv.envs.rendering import ellipse, measured_positions, merged
 from kfenv.models.model import Component, Sensor
 from kfenv.models.namespaces import batch
 from kfenv.models.radar import radar
@@ -94,7 +95,7 @@ def test_a_log_without_truth_is_drawn(make):
 
 
 def test_a_sensor_that_measures_no_position_is_drawn_without_dots(make, monkeypatch):
-    monkeypatch.setattr("kfenv.envs.rendering.measured_positions", lambda *_: None)
+    monkeypatch.setattr("kfenv.envs.history.measured_positions", lambda *_: None)
     env = make(recording=replace(one_episode(), truth=None), actions="range_noise")
     env.reset()
     for _ in range(8):  # long enough to leave the first view

@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
-from kfenv.agents import training
+from kfenv.agents import checkpoints, training
 from kfenv.agents.policy import NumpyPolicy
 from kfenv.agents.settings import PPOSettings, read_settings
 from kfenv.agents.stable_baselines import VectorEnvAdapter
@@ -218,16 +218,16 @@ def test_ctrl_c_is_back_to_normal_after_a_run(tiny):
 
 def test_resume_keeps_the_replay_buffer(tiny, tmp_path):
     tiny(algorithm="sac")
-    model = training._load_model(tmp_path / "run", "sac", _pendulum_adapter())
+    model = checkpoints.load_checkpoint(tmp_path / "run", "sac", _pendulum_adapter())
     assert model.replay_buffer.size() * model.n_envs == 512
 
 
 def test_resume_without_a_buffer_that_was_too_large_gathers_a_new_one(tiny, monkeypatch, tmp_path):
-    monkeypatch.setattr(training, "LARGEST_REPLAY_BUFFER", 100)
+    monkeypatch.setattr(checkpoints, "LARGEST_REPLAY_BUFFER", 100)
     with pytest.warns(UserWarning, match="too large to be saved"):
         tiny(algorithm="sac")
     assert not (tmp_path / "run" / "replay_buffer.pkl").exists()
-    model = training._load_model(tmp_path / "run", "sac", _pendulum_adapter())
+    model = checkpoints.load_checkpoint(tmp_path / "run", "sac", _pendulum_adapter())
     assert model.learning_starts == 512 + 64
 
 
@@ -238,9 +238,9 @@ def _pendulum_adapter():
 
 def test_checkpoints_come_every_so_many_steps(tiny, monkeypatch):
     saved = []
-    original = training._Bookkeeper.save
+    original = checkpoints.Bookkeeper.save
     monkeypatch.setattr(
-        training._Bookkeeper,
+        checkpoints.Bookkeeper,
         "save",
         lambda self: (original(self), saved.append(self.model.num_timesteps)),
     )
