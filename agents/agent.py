@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Contest:
+class Briefing:
     """What an agent is told before the episodes begin.
 
     Attributes:
@@ -26,7 +26,7 @@ class Contest:
         sensor: channels and their groups.
         batch: number of episodes in lock-step.
         seed: for agents that draw.
-        recording: the episodes; only the clairvoyant may look into it.
+        recording: the episodes, for the clairvoyant alone; None for everyone else.
         decision_interval: filter steps per action.
     """
 
@@ -34,7 +34,7 @@ class Contest:
     sensor: Sensor
     batch: int
     seed: int
-    recording: Recording
+    recording: Recording | None
     decision_interval: int = 1
 
 
@@ -49,15 +49,17 @@ class Parameter:
 
 
 class Agent(ABC):
-    """Base of all agents: reset once per contest, then one action per decision.
+    """Base of all agents: reset once per briefing, then one action per decision.
 
     Class attributes:
         parameters: what tuning may choose.
         all_knobs: whether the agent wants every knob, whatever the environment exposes.
+        clairvoyant: whether it may look into the recording.
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     all_knobs: ClassVar[bool] = True
+    clairvoyant: ClassVar[bool] = False
 
     def __init__(self, name: str, values: Mapping[str, float] | None = None) -> None:
         self.name = name
@@ -67,9 +69,14 @@ class Agent(ABC):
         """What tuning may choose, given the knobs that the agent can turn."""
         return self.parameters
 
-    def reset(self, contest: Contest) -> None:
-        """Forget the last contest."""
-        self.contest = contest
+    def reset(self, briefing: Briefing) -> None:
+        """Forget the last briefing."""
+        self.briefing = briefing
+
+    @property
+    def own_options(self) -> dict[str, Any]:
+        """Options of the environment that belong to the agent."""
+        return {"actions": None} if self.all_knobs else {}
 
     @abstractmethod
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
@@ -81,7 +88,7 @@ class Agent(ABC):
 
 
 def knob_actions(
-    contest: Contest,
+    briefing: Briefing,
     fading: Array | float = 1.0,
     process_noise: Array | float = 1.0,
     channel_noise: Array | None = None,
@@ -95,13 +102,13 @@ def knob_actions(
     """
     factors = {"fading": fading, "process_noise": process_noise}
     if channel_noise is not None:
-        for group, channels in channels_of(contest.sensor).items():
+        for group, channels in channels_of(briefing.sensor).items():
             square = np.mean(channel_noise[:, channels] ** 2, axis=1)
             factors[f"{group}_noise"] = np.sqrt(square)
     columns = [
-        np.broadcast_to(factors.get(knob.name, 1.0), contest.batch) for knob in contest.knobs
+        np.broadcast_to(factors.get(knob.name, 1.0), briefing.batch) for knob in briefing.knobs
     ]
-    return actions_for(np.stack(columns, axis=1), contest.knobs)
+    return actions_for(np.stack(columns, axis=1), briefing.knobs)
 
 
 def channels_of(sensor: Sensor) -> dict[str, Sequence[int]]:

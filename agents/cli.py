@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -93,7 +94,8 @@ def train(
         )  # fmt: skip
         _validate(env, kwargs, seed, output)
     console.print(f"The policy is in {output / 'policy.npz'}; contest it with")
-    console.print(f"  kfenv evaluate {env} --agent {output} --output {output}-evaluation")
+    options = "".join(f" --option '{key}={json.dumps(kwargs[key])}'" for key in kwargs)
+    console.print(f"  kfenv evaluate {env}{options} --agent {output} --output {output}-evaluation")
 
 
 @app.command()
@@ -115,7 +117,7 @@ def evaluate(
         typer.Option(min=1, help="Episodes that parameters are tuned on, none tested."),
     ] = 32,
     tuning_trials: Annotated[
-        int, typer.Option(min=0, help="Settings tried per agent; 0 keeps the literature's values.")
+        int, typer.Option(min=0, help="Settings tried per parameter; 0: no tuning.")
     ] = 60,
     processes: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
     resume: Resume = False,
@@ -207,7 +209,7 @@ def _training() -> Callable[..., Path]:
         from .training import train
     except ImportError as error:
         raise ValueError(
-            f"Training needs the extra 'train' ({error}): pip install 'kfenv[train]'."
+            f"Training needs the extra 'train' ({error}): pip install -e '.[train]'."
         ) from None
     return train
 
@@ -236,9 +238,10 @@ def _contest(
 
 
 def _results_table(results: list[dict[str, Any]], where: str = "unseen episodes") -> Table:
+    tuned = "difference_to_fixed_tuned" in results[0]
     table = Table(
-        "agent", "median", "mean", "std", "p95", "lost", "ANEES",
-        "below fixed, %", "against fixed-tuned, m",
+        "agent", "median", "mean", "std", "p95", "lost", "ANEES", "below fixed, %",
+        *(("against fixed-tuned, m",) if tuned else ()),
         box=SIMPLE_HEAD,
         title=f"Position RMSE on {where}, m (medians with 95 % intervals)",
         caption="lost: tracks lost, %; ANEES: 1 if consistent, lost tracks left out",
@@ -249,14 +252,17 @@ def _results_table(results: list[dict[str, Any]], where: str = "unseen episodes"
         column.justify = "right"
     for r in sorted(results, key=lambda result: result["rmse_median"]):
         better = [100.0 * r[key] for key in ("improvement_over_fixed", "ci_low", "ci_high")]
-        tuned = [r[f"difference_{key}"] for key in ("to_fixed_tuned", "ci_low", "ci_high")]
-        table.add_row(
+        row = [
             r["agent"],
             *(_short(r[key]) for key in ("rmse_median", "rmse", "rmse_std", "rmse_p95")),
-            f"{100.0 * r['track_loss']:.0f}", "-" if r["anees"] is None else _short(r["anees"]),
+            f"{100.0 * r['track_loss']:.0f}",
+            "-" if r["anees"] is None else _short(r["anees"]),
             f"{better[0]:+.0f} ({better[1]:+.0f}, {better[2]:+.0f})",
-            f"{tuned[0]:+.0f} ({tuned[1]:+.0f}, {tuned[2]:+.0f})",
-        )  # fmt: skip
+        ]
+        if tuned:
+            low, high = r["difference_ci_low"], r["difference_ci_high"]
+            row.append(f"{r['difference_to_fixed_tuned']:+.0f} ({low:+.0f}, {high:+.0f})")
+        table.add_row(*row)
     return table
 
 
@@ -313,8 +319,8 @@ def _complaints() -> Iterator[None]:
         message = str(interrupt) or "Interrupted: what was finished is kept; go on with --resume."
         Console(stderr=True).print(message, soft_wrap=True)
         raise typer.Exit(130) from None
-    except (ValueError, TypeError, OSError, GymnasiumError) as error:
-        Console(stderr=True).print(f"[red]Error:[/red] {error}", soft_wrap=True, markup=True)
+    except (ValueError, TypeError, OSError, RuntimeError, GymnasiumError) as error:
+        Console(stderr=True).print(f"[red]Error:[/red] {escape(str(error))}", soft_wrap=True)
         raise typer.Exit(2) from None
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import signal
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .files import write_json, written_whole
-from .registry import make_agent
+from .learned import Learned
+from .registry import AGENTS, make_agent
 from .rollout import Scores, draw_episodes, rollout
 from .tuning import tune
 
@@ -35,7 +38,8 @@ class Contest:
         episodes: number of test episodes.
         seed: of the episodes.
         split: which episodes the agents meet, "test" or "validation".
-        tuning_episodes, tuning_trials: the same for every agent that has parameters.
+        tuning_episodes: the same for every agent that has parameters.
+        tuning_trials: settings that each may try for each of its parameters.
     """
 
     env_id: str
@@ -51,14 +55,20 @@ class Contest:
         for name, least in (("episodes", 2), ("tuning_episodes", 1), ("tuning_trials", 0)):
             if getattr(self, name) < least:
                 raise ValueError(f"{name} must be at least {least}, got {getattr(self, name)}.")
-        names = [make_agent(agent).name for agent in self.agents]
-        for name in names:
+        names = [make_agent(agent).name for agent in self.all_agents]
+        for given, name in zip(self.all_agents, names, strict=True):
             if "/" in name:
                 raise ValueError(f"An agent's name must not hold a slash: {name!r}.")
-            if names.count(name) > 1:
+            if names.count(name) > 1 or (name in AGENTS and given not in AGENTS):
                 raise ValueError(
-                    f"Two agents are called {name!r}: name one of them with OTHER=PATH."
+                    f"Two agents are called {name!r}: name the trained one with OTHER=PATH."
                 )
+
+    @property
+    def all_agents(self) -> tuple[str, ...]:
+        """The yardsticks first; `fixed-tuned` only where there is tuning."""
+        yardsticks = YARDSTICKS if self.tuning_trials > 0 else YARDSTICKS[:1]
+        return tuple(dict.fromkeys((*yardsticks, *self.agents)))
 
 
 def evaluate(
@@ -71,8 +81,8 @@ def evaluate(
 ) -> list[dict[str, Any]]:
     """Run a contest and write ``results.json`` and each agent's scores into a folder.
 
-    ``fixed`` and ``fixed-tuned`` always take part, as yardsticks. An agent's scores are
-    written when it is done, so that a resumed contest repeats none of them.
+    ``fixed`` and (with tuning) ``fixed-tuned`` always take part, as yardsticks. An
+    agent's scores are written when it is done, so that resuming repeats none of them.
 
     Raises:
         FileExistsError: if the folder holds anything and ``resume`` is not set.
@@ -82,7 +92,7 @@ def evaluate(
         contest.env_id, contest.env_kwargs, contest.split, contest.seed, 1
     )  # complain first
     _admit(output, contest, resume)
-    names = list(dict.fromkeys((*YARDSTICKS, *contest.agents)))
+    names = contest.all_agents
     todo = [name for name in names if not _scores_path(output, name).exists()]
     started(len(names))
     for name in set(names) - set(todo):
@@ -115,24 +125,23 @@ def _run_all(contest: Contest, names: Sequence[str], processes: int):
         for name in names:
             yield name, run_agent(contest, name)
         return
-    # Fresh processes: a forked one would inherit threads of the progress display.
-    pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"))
-    try:
-        futures: dict[Future, str] = {pool.submit(run_agent, contest, n): n for n in names}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+    # Fresh processes: a forked one would inherit threads of the progress display. They
+    # leave Ctrl-C to this one, which ends them on its way out.
+    ignore = (signal.SIGINT, signal.SIG_IGN)
+    with get_context("spawn").Pool(processes, signal.signal, ignore) as pool:
+        yield from pool.imap_unordered(partial(_named_run, contest), names)
+
+
+def _named_run(contest: Contest, name: str) -> tuple[str, tuple[Scores, dict[str, float]]]:
+    return name, run_agent(contest, name)
 
 
 def _summary(contest: Contest, name: str, scores: dict[str, Scores]) -> dict[str, Any]:
     own = scores[name]
     improvement = 1.0 - own.rmse / scores["fixed"].rmse
     low, high = median_interval(improvement, contest.seed)
-    difference = own.rmse - scores["fixed-tuned"].rmse
-    difference_low, difference_high = median_interval(difference, contest.seed)
     rmse_low, rmse_high = median_interval(own.rmse, contest.seed)
-    return {
+    summary = {
         "agent": name,
         "env": contest.env_id,
         "env_kwargs": contest.env_kwargs,
@@ -149,10 +158,13 @@ def _summary(contest: Contest, name: str, scores: dict[str, Scores]) -> dict[str
         "improvement_over_fixed": float(np.median(improvement)),
         "ci_low": low,
         "ci_high": high,
-        "difference_to_fixed_tuned": float(np.median(difference)),
-        "difference_ci_low": difference_low,
-        "difference_ci_high": difference_high,
     }
+    if "fixed-tuned" in scores:
+        difference = own.rmse - scores["fixed-tuned"].rmse
+        low, high = median_interval(difference, contest.seed)
+        summary["difference_to_fixed_tuned"] = float(np.median(difference))
+        summary["difference_ci_low"], summary["difference_ci_high"] = low, high
+    return summary
 
 
 def median_interval(values: Array, seed: int) -> tuple[float, float]:
@@ -171,7 +183,7 @@ def median_interval(values: Array, seed: int) -> tuple[float, float]:
 
 def _admit(output: Path, contest: Contest, resume: bool) -> None:
     """Take the folder for this contest, or complain before anything is touched."""
-    content = json.loads(json.dumps(asdict(contest)))
+    content = json.loads(json.dumps(asdict(contest))) | {"policies": _digests(contest)}
     path = output / "contest.json"
     if output.exists() and not output.is_dir():
         raise FileExistsError(f"{output} is a file: name a folder for the results.")
@@ -187,6 +199,19 @@ def _admit(output: Path, contest: Contest, resume: bool) -> None:
             )
     output.mkdir(parents=True, exist_ok=True)
     write_json(path, content)
+
+
+def _digests(contest: Contest) -> dict[str, str]:
+    """A hash of each policy's numbers, so that a changed policy is another contest."""
+    agents = [make_agent(name) for name in contest.agents]
+    digests = {}
+    for agent in agents:
+        if isinstance(agent, Learned):
+            digest = hashlib.sha256()
+            for array in (*agent.policy.weights, *agent.policy.biases):
+                digest.update(array.tobytes())
+            digests[agent.name] = digest.hexdigest()
+    return digests
 
 
 def _scores_path(output: Path, name: str) -> Path:

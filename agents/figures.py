@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 
 from .evaluation import Contest, read_scores, read_values
 from .files import written_whole
-from .learned import Learned
 from .registry import make_agent
 from .rollout import draw_episodes, rollout
 
@@ -99,8 +98,7 @@ def _episode(contest: Contest, results: Sequence[dict[str, Any]], output: Path) 
     top, bottom = figure.subplots(2, sharex=True, height_ratios=(3, 2))
     for result in _shown(results):
         agent = make_agent(result["given_as"])
-        if not isinstance(agent, Learned):
-            agent = agent.with_values(read_values(output, result["given_as"]))
+        agent = agent.with_values(read_values(output, result["given_as"]))
         scores = rollout(agent, contest.env_id, contest.env_kwargs, recording, contest.seed, True)
         time = scores.time
         style = {"color": _colour(result, results), "lw": 1.3, "label": result["agent"]}

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from kfenv.envs.knobs import Knob, actions_for
 
-from .agent import Agent, Array, Contest, Parameter, knob_actions
+from .agent import Agent, Array, Briefing, Parameter, knob_actions
 
 
 class Fixed(Agent):
     """The nominal filter: all knobs at one."""
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
-        return np.zeros((self.contest.batch, len(self.contest.knobs)))
+        return np.zeros((self.briefing.batch, len(self.briefing.knobs)))
 
 
 class FixedTuned(Agent):
@@ -28,32 +28,33 @@ class FixedTuned(Agent):
         return tuple(Parameter(knob.name, knob.low, knob.high, 1.0) for knob in knobs)
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
-        knobs = self.contest.knobs
+        knobs = self.briefing.knobs
         factors = np.array([self.values.get(knob.name, 1.0) for knob in knobs])
-        return np.tile(actions_for(factors, knobs), (self.contest.batch, 1))
+        return np.tile(actions_for(factors, knobs), (self.briefing.batch, 1))
 
 
 class Clairvoyant(Agent):
     """Knows the deviation each measurement's noise was drawn with: the bound for noise tuning."""
 
     parameters = (Parameter("process_noise", 0.05, 200.0, 1.0),)
+    clairvoyant = True
 
-    def reset(self, contest: Contest) -> None:
+    def reset(self, briefing: Briefing) -> None:
         """See also `Agent.reset`.
 
         Raises:
             ValueError: if the recording does not know its true noise.
         """
-        super().reset(contest)
-        if contest.recording.true_noise is None:
+        super().reset(briefing)
+        if briefing.recording is None or briefing.recording.true_noise is None:
             raise ValueError("The clairvoyant needs a recording that knows its true noise.")
-        self._ratio = contest.recording.true_noise / contest.recording.noise
+        self._ratio = briefing.recording.true_noise / briefing.recording.noise
         self._index = 0
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
         ratio = self._ratio[:, min(self._index, self._ratio.shape[1] - 1)]
-        self._index += self.contest.decision_interval
-        return knob_actions(self.contest, 1.0, self.values["process_noise"], ratio)
+        self._index += self.briefing.decision_interval
+        return knob_actions(self.briefing, 1.0, self.values["process_noise"], ratio)
 
 
 class Random(Agent):
@@ -61,9 +62,9 @@ class Random(Agent):
 
     all_knobs = False
 
-    def reset(self, contest: Contest) -> None:
-        super().reset(contest)
-        self._rng = np.random.default_rng(contest.seed)
+    def reset(self, briefing: Briefing) -> None:
+        super().reset(briefing)
+        self._rng = np.random.default_rng(briefing.seed)
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
-        return self._rng.uniform(-1.0, 1.0, (self.contest.batch, len(self.contest.knobs)))
+        return self._rng.uniform(-1.0, 1.0, (self.briefing.batch, len(self.briefing.knobs)))

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from .agent import Agent, Array
 from .policy import NumpyPolicy
 
-# What a policy was trained with and must be evaluated with.
-OWN_OPTIONS = ("actions", "decision_interval")
+# What a policy was trained with and must be evaluated with, and its default.
+OWN_OPTIONS = {"actions": None, "decision_interval": 1}
 
 
 class Learned(Agent):
@@ -33,9 +33,13 @@ class Learned(Agent):
 
     @property
     def own_options(self) -> dict[str, Any]:
-        """Options of the environment that belong to the policy."""
+        """Those that the policy was trained with."""
         kwargs = self.policy.env_kwargs
-        return {name: kwargs[name] for name in OWN_OPTIONS if name in kwargs}
+        return {name: kwargs.get(name, default) for name, default in OWN_OPTIONS.items()}
+
+    def with_values(self, values: Mapping[str, float]) -> Learned:
+        """Itself: a policy has no parameters."""
+        return self
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
         return self.policy.predict(observation).astype(np.float64)

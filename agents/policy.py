@@ -80,7 +80,7 @@ class NumpyPolicy:
             OSError,
             ValueError,
             TypeError,
-            KeyError,
+            LookupError,
             AttributeError,
             EOFError,
             NotImplementedError,

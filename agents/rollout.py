@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from importlib import import_module
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
-from gymnasium import spec
-from gymnasium.envs.registration import load_env_creator
+from gymnasium.envs.registration import EnvSpec, load_env_creator
 from numpy.random import Generator, SeedSequence, default_rng
 from numpy.typing import NDArray
 
@@ -15,7 +16,7 @@ from kfenv.envs.core import Core
 from kfenv.envs.options import Options, split_keywords
 from kfenv.scenarios.recording import Recording
 
-from .agent import Agent, Contest
+from .agent import Agent, Briefing
 
 Array = NDArray[np.float64]
 
@@ -32,17 +33,32 @@ def episode_rngs(split: str, seed: int, episodes: int) -> list[Generator]:
 
 def scenario_and_options(env_id: str, env_kwargs: dict[str, Any]) -> tuple[Any, Options]:
     """The scenario and options that ``gym.make(env_id, **env_kwargs)`` would work with."""
-    creator = load_env_creator(spec(env_id).entry_point)
+    creator = load_env_creator(find_spec(env_id).entry_point)
+    if not hasattr(creator, "scenario_class"):
+        raise ValueError(f"{env_id} is no environment of kfenv: `kfenv envs` lists them.")
     return split_keywords(creator.scenario_class, env_kwargs)
+
+
+def find_spec(env_id: str) -> EnvSpec:
+    """What Gymnasium knows of an id, which may begin with the module that registers it.
+
+    Raises:
+        ValueError: if there is no such environment.
+    """
+    module, _, name = env_id.rpartition(":")
+    try:
+        if module:
+            import_module(module)
+        return gym.spec(name)
+    except (gym.error.Error, ModuleNotFoundError) as error:
+        raise ValueError(f"Unknown environment {env_id!r}: {error}") from None
 
 
 def draw_episodes(
     env_id: str, env_kwargs: dict[str, Any], split: str, seed: int, episodes: int
 ) -> Recording:
-    """The episodes of a split; those given as ``recording`` are taken as they are."""
-    scenario, options = scenario_and_options(env_id, env_kwargs)
-    if options.recording is not None:
-        return options.recording[:episodes]
+    """The episodes of a split."""
+    scenario, _ = scenario_and_options(env_id, env_kwargs)
     return scenario.sample(episode_rngs(split, seed, episodes))
 
 
@@ -84,16 +100,17 @@ def rollout(
     if recording.truth is None:
         raise ValueError("The episodes have no truth, so no error can be scored.")
     scenario, options = scenario_and_options(env_id, env_kwargs)
-    own = {"actions": None} if agent.all_knobs else getattr(agent, "own_options", {})
-    options = replace(options, recording=recording, reward="rmse", **own)
+    options = replace(options, recording=recording, reward="rmse", **agent.own_options)
     core = Core(scenario, options, len(recording), recording.time, has_truth=True)
     core.load(np.arange(len(recording)), recording)
-    contest = (core.knobs, scenario.sensor, core.batch, seed, recording, options.decision_interval)
-    agent.reset(Contest(*contest))
+    shown = recording if agent.clairvoyant else None
+    agent.reset(
+        Briefing(core.knobs, scenario.sensor, core.batch, seed, shown, options.decision_interval)
+    )
     running, lost = np.ones(core.batch, bool), np.zeros(core.batch, bool)
     times, errors, factors = [], [], []
     while running.any():
-        action = np.clip(agent.act(core.observation(), core.information()), -1.0, 1.0)
+        action = np.clip(agent.act(core.observation(), _without_truth(core)), -1.0, 1.0)
         _, gone, ended = core.step(action, running)
         lost |= gone
         running &= ~(gone | ended)
@@ -107,3 +124,11 @@ def rollout(
     own_scores = (np.sqrt(squared / steps), lost, core.total_nees / scored / 3.0)
     traces = (np.array(times), np.array(errors), np.array(factors)) if trace else ()
     return Scores(*own_scores, *traces)
+
+
+def _without_truth(core: Core) -> dict[str, Any]:
+    """The info dictionary less what only a simulation knows."""
+    info = core.information()
+    for name in ("truth", "position_error", "nees"):
+        info.pop(name, None)
+    return info

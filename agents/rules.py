@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .agent import Agent, Array, Contest, Parameter, knob_actions
+from .agent import Agent, Array, Briefing, Parameter, knob_actions
 
 PROCESS_NOISE = Parameter("process_noise", 0.05, 200.0, 1.0)
 REACQUIRE_AFTER = 5  # consecutive rejections of a channel, then the gate opens once
@@ -33,9 +33,9 @@ class InnovationFading(Agent):
         PROCESS_NOISE,
     )
 
-    def reset(self, contest: Contest) -> None:
-        super().reset(contest)
-        self._moment = np.full((contest.batch, len(contest.sensor.channels)), np.nan)
+    def reset(self, briefing: Briefing) -> None:
+        super().reset(briefing)
+        self._moment = np.full((briefing.batch, len(briefing.sensor.channels)), np.nan)
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
         squared = info["innovation"] ** 2
@@ -45,7 +45,7 @@ class InnovationFading(Agent):
         arrived = ~np.isnan(squared)
         self._moment = np.where(arrived, updated, self._moment)
         fading = self._fading(info, arrived)
-        return knob_actions(self.contest, fading, self.values["process_noise"])
+        return knob_actions(self.briefing, fading, self.values["process_noise"])
 
     def _fading(self, info: Mapping[str, Any], arrived: NDArray[np.bool_]) -> Array:
         noise = info["noise"] ** 2
@@ -55,7 +55,11 @@ class InnovationFading(Agent):
 
 
 class InnovationFadingPrinted(InnovationFading):
-    """The printed rule: traces that add m^2 to rad^2, and S where H P H^T belongs (SPEC 6)."""
+    """The printed lambda: traces that add m^2 to rad^2, and S where H P H^T belongs (SPEC 6).
+
+    What the paper then does with lambda (eq 40 to 42: on the raw second moment, and a
+    second time) is beyond the knobs; here it multiplies the propagated covariance once.
+    """
 
     def _fading(self, info: Mapping[str, Any], arrived: NDArray[np.bool_]) -> Array:
         excess = self._moment - self.values["weakening"] * info["noise"] ** 2
@@ -76,18 +80,20 @@ class HuberGate(Agent):
         PROCESS_NOISE,
     )
 
-    def reset(self, contest: Contest) -> None:
-        super().reset(contest)
-        self._rejections = np.zeros((contest.batch, len(contest.sensor.channels)), np.int64)
+    def reset(self, briefing: Briefing) -> None:
+        super().reset(briefing)
+        self._rejections = np.zeros((briefing.batch, len(briefing.sensor.channels)), np.int64)
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
         size = np.abs(info["innovation"]) / np.sqrt(info["innovation_variance"])
         size = np.nan_to_num(size)
         factor = np.sqrt(np.maximum(1.0, size / self.values["threshold"]))
         rejected = (size > self.values["gate"]) & (self._rejections < REACQUIRE_AFTER)
-        self._rejections = np.where(rejected, self._rejections + 1, 0)
+        counted = np.where(rejected, self._rejections + 1, 0)
+        arrived = ~np.isnan(info["innovation"])
+        self._rejections = np.where(arrived, counted, self._rejections)
         factor = np.where(rejected, REJECTED, factor)
-        return knob_actions(self.contest, 1.0, self.values["process_noise"], factor)
+        return knob_actions(self.briefing, 1.0, self.values["process_noise"], factor)
 
 
 class InnovationNoise(Agent):
@@ -104,9 +110,9 @@ class InnovationNoise(Agent):
         PROCESS_NOISE,
     )
 
-    def reset(self, contest: Contest) -> None:
-        super().reset(contest)
-        self._mean_square = np.full((contest.batch, len(contest.sensor.channels)), np.nan)
+    def reset(self, briefing: Briefing) -> None:
+        super().reset(briefing)
+        self._mean_square = np.full((briefing.batch, len(briefing.sensor.channels)), np.nan)
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
         told = info["noise"] ** 2
@@ -120,7 +126,7 @@ class InnovationNoise(Agent):
         noise = self._noise(before + step, explained, told)
         noise = np.maximum(noise, squared / gate - explained)
         factor = np.where(arrived, np.sqrt(noise / told), 1.0)
-        return knob_actions(self.contest, 1.0, self.values["process_noise"], factor)
+        return knob_actions(self.briefing, 1.0, self.values["process_noise"], factor)
 
     @staticmethod
     def _noise(mean_square: Array, explained: Array, told: Array) -> Array:

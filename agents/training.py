@@ -21,13 +21,12 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
-from importlib import import_module, metadata
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 
 try:
@@ -44,6 +43,7 @@ except ImportError as error:
 from .checkpoints import Bookkeeper, load_checkpoint
 from .files import write_json
 from .progress import TrainingProgress
+from .rollout import find_spec
 from .settings import PPOSettings, SACSettings, Settings, read_settings
 from .stable_baselines import VectorEnvAdapter
 
@@ -114,7 +114,7 @@ def training_seed(seed: int, steps_done: int = 0) -> int:
 
 def with_training_reward(env_id: str, env_kwargs: Mapping[str, Any]) -> dict[str, Any]:
     """Add reward="improvement" for an environment of kfenv, unless a reward is chosen."""
-    default = {"reward": "improvement"} if _find_spec(env_id).namespace == "kfenv" else {}
+    default = {"reward": "improvement"} if find_spec(env_id).namespace == "kfenv" else {}
     return default | dict(env_kwargs)
 
 
@@ -123,7 +123,7 @@ def make_training_env(
 ) -> VectorEnvAdapter:
     """Make a same-step vector environment for stable-baselines3: native where there is one."""
     same_step = {"autoreset_mode": AutoresetMode.SAME_STEP}
-    if _find_spec(env_id).vector_entry_point is None:
+    if find_spec(env_id).vector_entry_point is None:
         how = {"vectorization_mode": "sync", "vector_kwargs": same_step}
     else:
         how = {"vectorization_mode": "vector_entry_point", **same_step}
@@ -135,16 +135,6 @@ def make_training_env(
             env.close()
             raise ValueError(f"cannot train on {env_id}: its {name} is {space}, not a flat Box")
     return env
-
-
-def _find_spec(env_id: str) -> EnvSpec:
-    module, _, name = env_id.rpartition(":")
-    try:
-        if module:
-            import_module(module)
-        return gym.spec(name)
-    except (gym.error.Error, ModuleNotFoundError) as error:
-        raise ValueError(f"unknown environment {env_id!r}: {error}") from None
 
 
 def _check_counts(steps: int, seed: int) -> None:

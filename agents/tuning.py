@@ -27,17 +27,18 @@ def tune(
 
     On the logarithms of the parameters: a third of the trials are spread over their
     ranges, the rest are CMA-ES from the best of these and the defaults; where there is
-    only one parameter, golden-section search. The mean log weighs all episodes alike,
-    however large their errors.
+    only one parameter, Brent's bounded search. Both may stop early. The mean log weighs
+    all episodes alike, however large their errors.
 
     Args:
         recording: the tuning episodes.
-        trials: how many settings may be tried.
+        trials: how many settings may be tried for each parameter.
         advance: called after each trial.
     """
     scenario, _ = scenario_and_options(env_id, env_kwargs)
     parameters = agent.tunable(choose_knobs(None, scenario.sensor.groups))
-    if not parameters or trials < 1:
+    trials *= len(parameters)
+    if trials < 1:
         return agent
     low = np.log([p.low for p in parameters])
     span = np.log([p.high for p in parameters]) - low

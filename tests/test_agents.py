@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from kfenv.agents.agent import Contest, channels_of, knob_actions
+from kfenv.agents.agent import Briefing, channels_of, knob_actions
 from kfenv.agents.registry import AGENTS, make_agent
 
 from kfenv.envs.knobs import actions_for, knobs_of
@@ -12,13 +12,13 @@ from kfenv.scenarios.radar_tracking import RadarTracking
 KNOBS = knobs_of(radar().groups)
 
 
-def contest(batch=1, steps=3, noise=1.0, true_noise=1.0):
+def briefing(batch=1, steps=3, noise=1.0, true_noise=1.0):
     scenario = RadarTracking(duration=steps / 10.0)
     recording = scenario.sample([np.random.default_rng(i) for i in range(batch)])
     shape = recording.noise.shape
     object.__setattr__(recording, "noise", np.full(shape, noise))
     object.__setattr__(recording, "true_noise", np.full(shape, true_noise))
-    return Contest(KNOBS, radar(), batch, 0, recording)
+    return Briefing(KNOBS, radar(), batch, 0, recording)
 
 
 def info(innovation, variance, noise=1.0):
@@ -38,7 +38,7 @@ def factors(actions):
 def started(name, values=None, **kwargs):
     agent = make_agent(name)
     agent = agent.with_values(values or {})
-    agent.reset(contest(**kwargs))
+    agent.reset(briefing(**kwargs))
     return agent
 
 
@@ -49,7 +49,7 @@ def test_actions_undo_the_knobs():
 
 def test_channels_of_a_group_share_its_knob():
     assert channels_of(radar()) == {"range": [0], "azimuth": [1], "elevation": [2]}
-    actions = knob_actions(contest(), 1.0, 1.0, np.array([[2.0, 3.0, 4.0]]))
+    actions = knob_actions(briefing(), 1.0, 1.0, np.array([[2.0, 3.0, 4.0]]))
     np.testing.assert_allclose(factors(actions)[0], [1.0, 1.0, 2.0, 3.0, 4.0])
 
 
@@ -70,7 +70,7 @@ def test_clairvoyant_sets_the_true_noise():
 
 
 def test_clairvoyant_needs_the_true_noise():
-    agent, blind = make_agent("clairvoyant"), contest()
+    agent, blind = make_agent("clairvoyant"), briefing()
     object.__setattr__(blind.recording, "true_noise", None)
     with pytest.raises(ValueError, match="true noise"):
         agent.reset(blind)

@@ -6,12 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
+import numpy as np
+
 from kfenv.checks import is_number
 from kfenv.names import unknown
 from kfenv.scenarios.recording import Recording
 
 REWARDS = ("rmse", "improvement")
 ENGINE = "srukf-joseph-exact"
+MAX_STEP = 1.0 + 1e-6  # s
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,12 @@ def check_recording(recording: Recording, scenario: Any) -> None:
     Raises:
         ValueError: naming the dimension that differs.
     """
+    if np.diff(recording.time).max() > MAX_STEP:
+        raise ValueError(
+            f"The recording has a gap of {np.diff(recording.time).max():g} s; the motion models "
+            f"take steps of up to {MAX_STEP:g} s: add instants in between whose measurements "
+            "are NaN."
+        )
     inputs = scenario.dimensions
     pairs = (
         ("states", recording.mean.shape[1], len(scenario.motion.states)),

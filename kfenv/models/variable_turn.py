@@ -39,7 +39,7 @@ def variable_turn(spectral_density: float = 1.0, speed_floor: float = 10.0) -> M
     Raises:
         ValueError: if either is not a positive number.
     """
-    if not speed_floor > 0.0:
+    if not 0.0 < speed_floor < float("inf"):
         raise ValueError(f"speed_floor must be a positive number of m/s, got {speed_floor!r}.")
     build = partial(
         _build,

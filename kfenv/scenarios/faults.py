@@ -80,7 +80,7 @@ class Jamming:
         bursts: least and greatest number of bursts.
         duration: range of a burst's length, s.
         factor: range of the noise's multiplier, drawn log-uniformly.
-        start: time of the (first) burst, s; None draws each at random.
+        start: when every burst begins, s; None draws each at random.
     """
 
     label: ClassVar[str] = "jamming"

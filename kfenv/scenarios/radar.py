@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
+from os import PathLike
 from typing import ClassVar
 
 import numpy as np
@@ -128,6 +129,9 @@ class RadarScenario(ABC):
                 "duration must be a number of seconds, at least one step of "
                 f"{1.0 / self.rate:g} s, got {self.duration!r}."
             )
+        if self.track is not None and not isinstance(self.track, str | PathLike):
+            raise ValueError(f"track must be the path of a CSV file, got {self.track!r}.")
+        self._check_radar_position()
         if self.radar_position is not None and self.track is None:
             raise ValueError(
                 "radar_position places a radar beside a real flight: give a track too."
@@ -135,6 +139,17 @@ class RadarScenario(ABC):
         resolve_faults(self.faults, self.presets, self.known_faults)
         if self.track is not None:
             _flight(self.track).random_start(np.random.default_rng(0), self.duration)  # complains
+
+    def _check_radar_position(self) -> None:
+        place = self.radar_position
+        if place is None:
+            return
+        right = isinstance(place, Sequence) and not isinstance(place, str) and len(place) == 3
+        if not (right and all(is_number(value) for value in place) and abs(place[0]) <= 90.0):
+            raise ValueError(
+                "radar_position must be (latitude, longitude, height) in degrees and metres, "
+                f"got {place!r}."
+            )
 
     def __reduce__(self):
         # Without what is derived: compiled and local functions cannot be pickled.
