@@ -15,11 +15,9 @@ from .files import written_whole
 from .registry import make_agent
 from .rollout import draw_episodes, rollout
 
-# Okabe and Ito's palette: told apart with any colour vision.
-COLOURS = (
-    "#000000", "#E69F00", "#CC79A7", "#8C6D8C", "#56B4E9", "#0072B2", "#009E73", "#999999",
-    "#D55E00", "#7F3B08", "#F0E442",
-)  # fmt: skip
+# Okabe and Ito's palette, told apart with any colour vision, and some more.
+COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7", "#999999",
+           "#7F3B08", "#B2ABD2", "#35978F", "#C51B7D", "#F0E442", "#4D4D4D", "#8073AC")  # fmt: skip
 SHADES = {"jamming": "#D55E00", "signal loss": "#777777"}
 
 
@@ -80,9 +78,8 @@ def _improvements(results: Sequence[dict[str, Any]]) -> Figure:
         axes.plot(middle, row, "o", color=COLOURS[4])
     axes.axvline(0.0, color="black", lw=0.8)
     axes.set_yticks(range(len(ranked)), [result["agent"] for result in ranked])
-    axes.set_xlim(-105.0, 100.0)
-    axes.set_xlabel("RMSE below that of the nominal filter on the same episode, % "
-                    "(median, 95 % interval; below -100 drawn at -100)")  # fmt: skip
+    axes.set_xlim(-105.0 if any(r["ci_low"] < -0.25 for r in ranked) else -30.0, 100.0)
+    axes.set_xlabel("RMSE below the nominal filter's on the same episode, %: median, 95 % interval")
     _clean(axes)
     return figure
 
@@ -110,7 +107,7 @@ def _episode(contest: Contest, results: Sequence[dict[str, Any]], output: Path) 
         axes.set_yscale("log")
         axes.set_ylabel(label)
         _clean(axes)
-    top.set_ylim(bottom=0.3)
+    top.set_ylim(0.3, 2e4)  # beyond 10 km a track is lost
     top.set_title(f"Episode {chosen}, on which the nominal filter does as usual", loc="left")
     top.legend(frameon=False, ncols=3, fontsize=9)
     bottom.set_xlabel("time, s")

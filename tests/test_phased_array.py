@@ -33,6 +33,26 @@ def test_levels_at_ten_kilometres():
     assert level(10e3, jammed=True) == pytest.approx(3.9, abs=0.05)
 
 
+def test_losses_add_in_decibels():
+    lossless = PhasedArray(losses_db=())
+    loss = db(lossless.signal_to_noise(10e3, *BROADSIDE)) - level(10e3)
+    assert loss == pytest.approx(7.2, abs=1e-9)
+    # the printed equation divides by the sum in dB: 1.4 dB too much (SPEC 4.2)
+    assert db(7.2) - loss == pytest.approx(1.4, abs=0.05)
+
+
+def test_the_echo_follows_the_radar_equation():
+    for change, gained in (
+        ({"gain": 2.0 * RADAR.gain}, 6.02),
+        ({"wavelength": 2.0 * RADAR.wavelength}, 6.02),
+        ({"cross_section": 2.0 * RADAR.cross_section}, 3.01),
+    ):
+        changed = PhasedArray(**change)
+        assert db(changed.signal_to_noise(10e3, *BROADSIDE)) - level(10e3) == pytest.approx(
+            gained, abs=0.01
+        )
+
+
 @pytest.mark.parametrize("times", [0.5, 1.4, 2.0])
 def test_the_echo_falls_with_the_fourth_power_the_jammer_with_the_second(times):
     broadside = {"azimuth": 0.0, "elevation": 0.0}

@@ -1,13 +1,15 @@
 """Noise of a phased-array radar from the radar equation (SPEC 4.2).
 
-The published Table 4 enters through its levels: 50.7 dB single-pulse S/N and
-46.8 dB J/N at 10 km on broadside, 9 dB of integration gain, 2 degrees of beam width.
+Gain, cross section, wavelength and losses are those of the published Table 4. The pulse
+energy over the noise density is set so that the equation gives the published level, a
+single-pulse S/N of 50.7 dB at 10 km on broadside; the jammer enters by its level there,
+46.8 dB over the noise.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import radians, sin
+from math import pi, radians, sin
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,7 +35,11 @@ class PhasedArray:
         beam_width: rad, the same in both angles.
         bandwidth: Hz; the aperture-fill limit at the largest scan angle.
         max_scan: rad; beyond it nothing is detected.
-        snr_db: single-pulse signal to noise at 10 km on broadside.
+        gain: of the antenna, one way, linear.
+        cross_section: of the target, m^2.
+        wavelength: m.
+        losses_db: transmit and receive microwave, signal processing and beam shape.
+        energy_over_noise_db: pulse energy over the noise's spectral density.
         jnr_db: jammer to noise at 10 km of the published self-screening jammer.
         integration_gain_db: n_p / L_i.
     """
@@ -43,13 +49,20 @@ class PhasedArray:
     beam_width: float = radians(2.0)
     bandwidth: float = 150.1e6
     max_scan: float = radians(60.0)
-    snr_db: float = 50.7
+    gain: float = 10.0**3.95
+    cross_section: float = 10.0**0.01
+    wavelength: float = 0.09085
+    losses_db: tuple[float, ...] = (1.5, 1.5, 1.0, 3.2)
+    energy_over_noise_db: float = 192.61
     jnr_db: float = 46.8
     integration_gain_db: float = 9.0
 
     def signal_to_noise(self, distance: Array, azimuth: Array, elevation: Array) -> Array:
         """Single-pulse S/N, linear: R^-4 and scan loss (S0 eq 46, losses summed in dB)."""
-        level = 10.0 ** (self.snr_db / 10.0) * (REFERENCE_RANGE / distance) ** 4
+        losses = 10.0 ** (sum(self.losses_db) / 10.0)
+        energy = 10.0 ** (self.energy_over_noise_db / 10.0)
+        echo = energy * self.gain**2 * self.wavelength**2 * self.cross_section
+        level = echo / ((4.0 * pi) ** 3 * distance**4 * losses)
         height = distance * np.sin(elevation)
         return level / self.scan_loss(distance, azimuth, height)
 
