@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,9 +22,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Learn to tune an adaptive Kalman filter, and contest the classical ways of doing so.",
 )
-# Rich takes 80 columns where there is no terminal, too few for the table of results.
-WIDTH = None if sys.stdout.isatty() else 120
-console = Console(width=WIDTH, soft_wrap=True)
+# The table of results needs 128 columns; a narrower terminal wraps it, but loses nothing.
+console = Console(width=max(Console().width, 128), soft_wrap=True)
 
 DEFAULT_AGENTS = (
     "innovation-fading", "innovation-fading-printed", "huber-gate", "innovation-noise",
@@ -241,7 +239,7 @@ def _results_table(results: list[dict[str, Any]], where: str = "unseen episodes"
     tuned = "difference_to_fixed_tuned" in results[0]
     table = Table(
         "agent", "median", "mean", "std", "p95", "lost", "ANEES", "below fixed, %",
-        *(("against fixed-tuned, m",) if tuned else ()),
+        *(("vs fixed-tuned, m",) if tuned else ()),
         box=SIMPLE_HEAD,
         title=f"Position RMSE on {where}, m (medians with 95 % intervals)",
         caption="lost: tracks lost, %; ANEES: 1 if consistent, lost tracks left out",
