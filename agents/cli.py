@@ -206,9 +206,7 @@ def _training() -> Callable[..., Path]:
     try:
         from .training import train
     except ImportError as error:
-        raise ValueError(
-            f"Training needs the extra 'train' ({error}): pip install -e '.[train]'."
-        ) from None
+        raise ValueError(str(error)) from None
     return train
 
 

@@ -37,7 +37,7 @@ try:
     from stable_baselines3.common.utils import LinearSchedule
 except ImportError as error:
     raise ImportError(
-        f"training needs stable-baselines3 and torch ({error}): pip install 'kfenv[train]'"
+        f"Training needs stable-baselines3 and torch ({error}): pip install -e '.[train]'."
     ) from error
 
 from .checkpoints import Bookkeeper, load_checkpoint
