@@ -78,8 +78,11 @@ def _improvements(results: Sequence[dict[str, Any]]) -> Figure:
         axes.plot(middle, row, "o", color=COLOURS[4])
     axes.axvline(0.0, color="black", lw=0.8)
     axes.set_yticks(range(len(ranked)), [result["agent"] for result in ranked])
-    axes.set_xlim(-105.0 if any(r["ci_low"] < -0.25 for r in ranked) else -30.0, 100.0)
+    far_below = any(result["ci_low"] < -0.25 for result in ranked)
+    axes.set_xlim(-105.0 if far_below else -30.0, 100.0)
     axes.set_xlabel("RMSE below the nominal filter's on the same episode, %: median, 95 % interval")
+    if far_below:
+        axes.set_title("-100 % stands for that or worse", loc="left", fontsize=9)
     _clean(axes)
     return figure
 
