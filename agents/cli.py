@@ -16,6 +16,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from kfenv.filters.adaptive import ADAPTIVE_DESIGNS
 from kfenv.filters.designs import DESIGNS
 
 app = typer.Typer(
@@ -98,7 +99,7 @@ def train(
     console.print(f"  kfenv evaluate {env}{options} --agent {output} --output {output}-evaluation")
 
 
-@app.command(epilog=f"Fixed filters of the family: {', '.join(DESIGNS)}.")
+@app.command(epilog=f"Fixed filters of the family: {', '.join((*DESIGNS, *ADAPTIVE_DESIGNS))}.")
 def evaluate(
     env: Environment,
     output: Annotated[Path, typer.Option(help="New folder for results and figures.")],

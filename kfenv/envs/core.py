@@ -43,7 +43,7 @@ class Core:
         self.scenario, self.options, self.batch = scenario, options, batch
         self.time, self.has_truth = times, has_truth
         motion, sensor = scenario.motion, scenario.sensor
-        self.filter = make_filter(motion, sensor, options)
+        self.filter = make_filter(scenario, options)
         self._position = np.array(motion.position)
         self._velocity = np.array(motion.velocity)
         self._group = np.array(sensor.group_of_channel)
@@ -80,8 +80,8 @@ class Core:
         )
 
     def _prepare_knobs(self, groups: tuple[str, ...]) -> None:
-        self._all_knobs = knobs_of(groups)
-        self.knobs = choose_knobs(self.options.actions, groups)
+        self._all_knobs = knobs_of(groups, self.options.mixture)
+        self.knobs = choose_knobs(self.options.actions, groups, self.options.mixture)
         self.knob_place = np.array([self._all_knobs.index(knob) for knob in self.knobs])
         self._log_low = np.log([knob.low for knob in self.knobs])
         self._log_high = np.log([knob.high for knob in self.knobs])
@@ -182,9 +182,11 @@ class Core:
     def _correct(self, active: Mask) -> None:
         noise = self._gather("noise") * self.factors[:, 2 + self._group]
         work = np.where(active, self.status, IDLE)
+        outlier_odds = (self.factors[:, -1].copy(),) if self.options.mixture else ()
         result = self.filter.update(
             self._prediction, self.factors[:, 0].copy(), self.factors[:, 1].copy(),
             self._gather("sensor_inputs"), self._gather("measurement"), noise, work,
+            *outlier_odds,
         )  # fmt: skip
         self._update = _merge(self._update, result, active)
         np.copyto(self._scored, self.index, where=active)
@@ -290,14 +292,20 @@ class Core:
         return tuple(names)
 
 
-def make_filter(motion, sensor, options: Options):
-    """The engine, or a square-root filter of the reference tier by name.
+def make_filter(scenario: Any, options: Options):
+    """The engine, a Gaussian sum, or a square-root filter of the reference tier by name.
 
     Raises:
         ValueError: for an unknown name or one without a square-root factor.
     """
+    motion, sensor = scenario.motion, scenario.sensor
     if options.filter == ENGINE:
         return Engine(motion, sensor, options.kappa)
+    if options.mixture:
+        from kfenv.filters.adaptive import build_tier, told_design
+
+        design = told_design(options.filter, scenario.mixture)
+        return build_tier(motion, sensor, design, compiled=True)
     from kfenv.filters.designs import DESIGNS, find_design
     from kfenv.filters.reference import ReferenceFilter
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -69,29 +69,68 @@ ADAPTIVE_DESIGNS: dict[str, AdaptiveDesign] = {
 }
 
 
+def find_adaptive_design(name: str) -> AdaptiveDesign:
+    """The design of that name.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    if name not in ADAPTIVE_DESIGNS:
+        raise ValueError(unknown("adaptive filter", name, ADAPTIVE_DESIGNS))
+    return ADAPTIVE_DESIGNS[name]
+
+
+def told_design(name: str, mixture: tuple[float, float] | None) -> AdaptiveDesign:
+    """The design of that name, its Gaussian sum made for the mixture (weight, ratio) if told one.
+
+    Raises:
+        ValueError: if there is no such design.
+    """
+    design = find_adaptive_design(name)
+    if design.mixture is None or mixture is None:
+        return design
+    return replace(design, mixture=Mixture(*mixture))
+
+
+def build_tier(motion: Motion, sensor: Sensor, design: AdaptiveDesign, compiled: bool = False):
+    """What predicts and updates for a design, all but its fading.
+
+    Args:
+        compiled: whether the engine does a cubature filter's work.
+    """
+    exact_cubature = ADAPTIVE_DESIGNS["ckf"].base
+    if compiled and design.base == exact_cubature:
+        from kfenv.filters.engine import Engine  # brings the compiler, half a second
+
+        base = Engine(motion, sensor, kappa=0.0)
+    else:
+        base = ReferenceFilter(motion, sensor, design.base)
+    return GaussianSum(base, design.mixture) if design.mixture else base
+
+
 class AdaptiveFilter:
     """A batch of filters of one adaptive design, for whole recordings.
 
     Args:
         motion, sensor: the models.
         design: a name in `ADAPTIVE_DESIGNS`, or an `AdaptiveDesign`.
+        compiled: whether the engine does a cubature filter's work.
 
     Raises:
         ValueError: if there is no such design.
     """
 
-    def __init__(self, motion: Motion, sensor: Sensor, design: AdaptiveDesign | str) -> None:
+    def __init__(
+        self,
+        motion: Motion,
+        sensor: Sensor,
+        design: AdaptiveDesign | str,
+        compiled: bool = False,
+    ) -> None:
         if isinstance(design, str):
-            if design not in ADAPTIVE_DESIGNS:
-                raise ValueError(unknown("adaptive filter", design, ADAPTIVE_DESIGNS))
-            design = ADAPTIVE_DESIGNS[design]
-        self.motion, self.sensor, self.design = motion, sensor, design
-        self._tier = ReferenceFilter(motion, sensor, design.base)
-        if design.mixture:
-            self._tier = GaussianSum(self._tier, design.mixture)
-
-    def __reduce__(self):
-        return AdaptiveFilter, (self.motion, self.sensor, self.design)
+            design = find_adaptive_design(design)
+        self.design = design
+        self._tier = build_tier(motion, sensor, design, compiled)
 
     def run(
         self,

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from kfenv.checks import is_number
 from kfenv.filters.matrices import tria
-from kfenv.filters.results import BAD_UPDATE, Prediction, Update, blame
+from kfenv.filters.replay import replay
+from kfenv.filters.results import BAD_UPDATE, Prediction, Run, Update, blame
 from kfenv.filters.transforms import angle_indices, wrap
 
 Array = NDArray[np.float64]
@@ -150,6 +151,22 @@ class GaussianSum:
             factor=np.where(arrived[:, None, None], factor, nominal.factor),
             log_likelihood=np.where(arrived, total, 0.0),
         )
+
+    def run(
+        self,
+        mean: Array,
+        factor: Array,
+        time: Array,
+        u: Array,
+        s: Array,
+        z: Array,
+        sd: Array,
+        fading: Array,
+        process_scale: Array,
+    ) -> Run:
+        """Filter whole recordings; arguments as in the base's `run`."""
+        case = (mean, factor, time, u, s, z, sd, fading, process_scale)
+        return Run(*replay(self, None, *case, keep=False)[:4])
 
     def nominal_probability(
         self,
