@@ -101,6 +101,7 @@ def figure(timing: Timing, duration: float) -> Figure:
                    color=COLOURS[style % len(COLOURS)], label=label)  # fmt: skip
     right.set(xscale="log", yscale="log", xlabel="interval between steps, s")
     right.set_ylabel(f"time per trajectory of {duration:g} s, alone, s")
+    right.set_title("the time per step times the number of steps", loc="left", fontsize=10)
     right.legend(frameon=False, fontsize=8)
     for axes in (left, right):
         clean(axes)

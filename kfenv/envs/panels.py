@@ -41,7 +41,7 @@ def lay_out(figure: Figure, scenario: Any, knobs: Sequence[Knob], history: Histo
     scale, widest = scenario.error_scale, scenario.lost_distance
     header = Header(figure.add_axes((0.065, 0.925, 0.915, 0.065)), history, scenario.name)
     close_up = CloseUp(figure.add_axes((0.6575, 0.45, 0.3225, 0.43)), history, widest)
-    radar = history.measured is not None
+    radar = scenario.sensor.name == "radar"
     track = Map(figure.add_axes((0.065, 0.45, 0.54, 0.43)), history, close_up, radar)
     error = ErrorPanel(figure.add_axes((0.065, 0.23, 0.745, 0.15)), history, scale, widest)
     knob = KnobPanel(figure.add_axes((0.065, 0.06, 0.745, 0.15)), history, knobs)
@@ -201,10 +201,10 @@ class ErrorPanel(Panel):
         self._error.set_data(history.steps, history.error)
         if not len(history):
             return False
-        self._bound_text.set_text(f"{predicted[-1]:.0f} m")
+        self._bound_text.set_text(_metres(predicted[-1]))
         if history.truth is not None:
-            self._error_text.set_text(f"{history.error[-1]:.0f} m")
-            self._rms_text.set_text(f"{np.sqrt(np.mean(history.error**2)):.0f} m")
+            self._error_text.set_text(_metres(history.error[-1]))
+            self._rms_text.set_text(_metres(np.sqrt(np.mean(history.error**2))))
         low, high = self.axes.get_ylim()
         top = min(np.nanmax([*history.error, *predicted, 0.0]), self._widest)
         if top <= high:
@@ -290,7 +290,7 @@ class Header(Panel):
     def update(self, history: History) -> bool:
         """Tell the time."""
         now = history.steps[-1] if len(history) else history.time[0]
-        self._time.set_text(f"{now:.1f} of {history.time[-1]:.0f} s")
+        self._time.set_text(f"{now:.1f} of {history.time[-1]:.4g} s")
         return False
 
 
@@ -362,6 +362,11 @@ def _true_track(axes: Axes, history: History, unit: float) -> list[Line2D]:
         bands += axes.plot(east[during], north[during], color=history.colours[fault.label],
                            lw=8, solid_capstyle="butt", zorder=2.1)  # fmt: skip
     return bands
+
+
+def _metres(value: float) -> str:
+    """Whole metres, with a decimal below ten."""
+    return f"{value:.1f} m" if value < 9.95 else f"{value:.0f} m"
 
 
 def _short(value: float) -> str:
