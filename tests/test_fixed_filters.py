@@ -1,7 +1,6 @@
 """Fixed filters of the family in the contest: the same rules as for agents (about 10 s)."""
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,8 +15,6 @@ from typer.testing import CliRunner
 import kfenv  # noqa: F401
 from kfenv.filters.designs import DESIGNS
 from kfenv.filters.results import History
-from kfenv.models.constant_acceleration import constant_acceleration
-from kfenv.models.model import Component, Sensor
 
 TRACKING, VALIDATION = "kfenv/RadarTracking-v0", "kfenv/RadarValidation-v0"
 SHORT = {"rate": 2.0, "duration": 20.0}
@@ -142,15 +139,16 @@ def test_unscented_filters_take_the_environments_kappa(episodes):
     assert not np.array_equal(two.rmse, zero.rmse)
 
 
-def test_the_linear_filter_is_for_linear_models(episodes, tmp_path):
+def test_the_linear_filter_is_for_linear_models(tmp_path):
     contest = Contest(TRACKING, SHORT, ("lkf",), 2, 0, 1, 0)
     with pytest.raises(ValueError, match=r"lkf is for linear models.*ekf-classical"):
         evaluate(contest, tmp_path / "out", processes=1)
     assert not (tmp_path / "out").exists()
-    channels = tuple(Component(axis, "m", "position") for axis in "xyz")
-    place = Sensor("place", channels, lambda xp: lambda x, s: (x[0], 2.0 * x[3] - x[1], x[6]))
-    scenario = SimpleNamespace(motion=constant_acceleration(), sensor=place, name="linear")
-    make_agent("lkf").check(scenario, scenario_and_options(TRACKING, SHORT)[1], episodes)
+    linear = "kfenv/BistaticTracking-v0"
+    recording = draw_episodes(linear, {}, "test", 0, 5)
+    make_agent("lkf").check(*scenario_and_options(linear, {}), recording)
+    lkf, ckf = (rollout(make_agent(n), linear, {}, recording) for n in ("lkf", "srckf-classical"))
+    np.testing.assert_allclose(lkf.rmse, ckf.rmse, rtol=1e-9)
 
 
 def test_weights_that_do_not_exist_are_refused_before_anything_is_written(tmp_path):

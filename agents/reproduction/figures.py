@@ -33,21 +33,22 @@ def track(
     """
     figure = Figure((10.0, 4.8), layout="constrained")
     above, height = figure.subplots(1, 2)
-    for axes, x_of, y in ((above, lambda p: p[:, 0] / 1e3, 1), (height, lambda p: time, 2)):
+    name, unit = ("km", 1e3) if np.ptp(truth, axis=0).max() > 2e3 else ("m", 1.0)
+    for axes, x_of, y in ((above, lambda p: p[:, 0] / unit, 1), (height, lambda p: time, 2)):
         if measured is not None:
-            axes.plot(x_of(measured), measured[:, y] / 1e3, ".", color="#bbbbbb", ms=2,
+            axes.plot(x_of(measured), measured[:, y] / unit, ".", color="#bbbbbb", ms=3,
                       label="measured")  # fmt: skip
-        axes.plot(x_of(truth), truth[:, y] / 1e3, color="black", lw=2.5, label="truth")
+        axes.plot(x_of(truth), truth[:, y] / unit, color="black", lw=2.5, label="truth")
         for style, (label, path) in enumerate(estimates.items()):
-            axes.plot(x_of(path), path[:, y] / 1e3, lw=1.3, label=label, **_style(style, 1))
+            axes.plot(x_of(path), path[:, y] / unit, lw=1.3, label=label, **_style(style, 1))
         clean(axes)
-    low, high = truth.min(axis=0) / 1e3, truth.max(axis=0) / 1e3
-    margin = 0.25 * (high - low) + 0.01
+    low, high = truth.min(axis=0) / unit, truth.max(axis=0) / unit
+    margin = 0.25 * (high - low)
     above.set_xlim(low[0] - margin[0], high[0] + margin[0])
     above.set_ylim(low[1] - margin[1], high[1] + margin[1])
     height.set_ylim(low[2] - 2.0 * margin[2], high[2] + 2.0 * margin[2])
-    above.set(xlabel="east, km", ylabel="north, km")
-    height.set(xlabel="time, s", ylabel="height, km")
+    above.set(xlabel=f"east, {name}", ylabel=f"north, {name}")
+    height.set(xlabel="time, s", ylabel=f"height, {name}")
     above.legend(frameon=False, fontsize=9)
     return figure
 

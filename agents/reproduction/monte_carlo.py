@@ -218,7 +218,8 @@ def _outcome(study: Study, recording: Recording, history: History) -> Outcome:
     gone = ~(distance <= study.scenario.lost_distance)
     lost_at = np.where(gone.any(axis=1), recording.time[np.argmax(gone, axis=1)], np.inf)
     P = history.covariance
-    definite = np.isfinite(cholesky(_batched(symmetric(P)))).all(axis=(1, 2))
+    rootless = ~np.isfinite(cholesky(_batched(symmetric(P)))).all(axis=(1, 2))
+    indefinite = rootless.reshape(P.shape[:2]) & np.isfinite(P).all(axis=(2, 3))
     factors = history.factor
     return Outcome(
         error=error[:, kept],
@@ -231,7 +232,7 @@ def _outcome(study: Study, recording: Recording, history: History) -> Outcome:
         else _condition(factors[:, kept]),
         lost_at=lost_at,
         failure=history.status,
-        indefinite=np.sum(~definite.reshape(P.shape[:2]), axis=1),
+        indefinite=np.sum(indefinite, axis=1),
     )
 
 
