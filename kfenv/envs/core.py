@@ -47,6 +47,7 @@ class Core:
         self._position = np.array(motion.position)
         self._velocity = np.array(motion.velocity)
         self._group = np.array(sensor.group_of_channel)
+        self.interval = options.decision_interval or scenario.steps_per_measurement
         self._prepare_knobs(sensor.groups)
         n, m, steps = len(motion.states), len(sensor.channels), len(times)
         inputs = scenario.dimensions
@@ -131,7 +132,8 @@ class Core:
     def step(self, action: Array, running: Mask) -> tuple[Array, Mask, Mask]:
         """Apply an action (B, K) for one decision interval to the running filters.
 
-        A lost track pays the cap for this decision and every one that remained.
+        A lost track pays the cap for this decision and every one that remained. Where
+        measurements are rarer than filter steps, fading acts once per measurement's period.
 
         Returns:
             Reward, terminated and truncated, each (B,); zero and False where not running.
@@ -140,8 +142,8 @@ class Core:
         self._action[running] = action[running]
         squared, nominal, count = np.zeros((3, self.batch))
         active, begin = running.copy(), self.index.copy()
-        for _ in range(self.options.decision_interval):
-            self._correct(active)
+        for k in range(self.interval):
+            self._correct(active, fades=k % self.scenario.steps_per_measurement == 0)
             self._score(active)
             statistics.account(
                 self.error, self.nees, self.status, self._nominal_error,
@@ -157,7 +159,7 @@ class Core:
         ended = running & ~lost & (self.index >= len(self.time))
         count = np.maximum(count, 1.0)
         reward = self._reward(squared / count, nominal / count)
-        remaining = -(-(len(self.time) - begin) // self.options.decision_interval)
+        remaining = -(-(len(self.time) - begin) // self.interval)
         reward = np.where(lost, -REWARD_CAP[self.options.reward] * remaining, reward)
         return np.where(running, reward, 0.0), lost, ended
 
@@ -179,12 +181,13 @@ class Core:
     def _instant(self) -> NDArray[np.int64]:
         return np.minimum(self.index, self._last)
 
-    def _correct(self, active: Mask) -> None:
+    def _correct(self, active: Mask, fades: bool) -> None:
         noise = self._gather("noise") * self.factors[:, 2 + self._group]
         work = np.where(active, self.status, IDLE)
+        fading = self.factors[:, 0].copy() if fades else np.ones(self.batch)
         outlier_odds = (self.factors[:, -1].copy(),) if self.options.mixture else ()
         result = self.filter.update(
-            self._prediction, self.factors[:, 0].copy(), self.factors[:, 1].copy(),
+            self._prediction, fading, self.factors[:, 1].copy(),
             self._gather("sensor_inputs"), self._gather("measurement"), noise, work,
             *outlier_odds,
         )  # fmt: skip

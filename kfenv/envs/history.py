@@ -33,8 +33,11 @@ class History:
 
     def __init__(self, scenario: Any, recording: Recording, knobs: int) -> None:
         place = list(scenario.motion.position)
+        self._axes = local_axes(scenario)
         self.time = recording.time
-        self.truth = None if recording.truth is None else recording.truth[0][:, place]
+        self.truth = None
+        if recording.truth is not None:
+            self.truth = scenario.local_position(recording.truth[0])
         self.measured = measured_positions(scenario.sensor, recording.measurement[0])
         first, last = self.time[0], self.time[-1]
         faults = merged(recording.faults[0])
@@ -42,8 +45,8 @@ class History:
         self.passing = [fault for fault in faults if fault not in self.lasting]
         labels = sorted({fault.label for fault in self.passing})
         self.colours = dict(zip(labels, cycle(FAULT_COLOURS), strict=False))
-        rows = recording.factor[0][place]
-        self.centre, self.spread = recording.mean[0][place], rows @ rows.T
+        rows = self._axes @ recording.factor[0][place]
+        self.centre, self.spread = scenario.local_position(recording.mean[0]), rows @ rows.T
         size = len(recording.time)
         self._count = 0
         self._steps, self._error = np.empty((2, size))
@@ -53,8 +56,9 @@ class History:
     def append(
         self, time: float, position: Array, covariance: Array, error: float, factors: Array
     ) -> None:
-        """Take in an update."""
+        """Take in an update; the covariance is along the state's own axes."""
         i = self._count
+        covariance = self._axes @ covariance @ self._axes.T
         self._steps[i], self._error[i], self._factors[i] = time, error, factors
         self._position[i], self._covariance[i] = position, covariance
         self._count += 1
@@ -88,6 +92,15 @@ class History:
         return self.measured[: self.now + 1]
 
 
+def local_axes(scenario: Any) -> Array:
+    """The matrix (3, 3) that turns a small shift of the state's position to east, north, up."""
+    n, place = len(scenario.motion.states), list(scenario.motion.position)
+    states = np.zeros((4, n))
+    states[np.arange(3), place] = 1.0
+    local = scenario.local_position(states)
+    return (local[:3] - local[3]).T
+
+
 def measured_positions(sensor: Sensor, measurement: Array) -> Array | None:
     """Measurements (T, m) as positions (T, 3), NaN where a part of one is missing.
 
@@ -95,6 +108,9 @@ def measured_positions(sensor: Sensor, measurement: Array) -> Array | None:
     pseudoranges: its film has no dots.
     """
     names = [channel.name for channel in sensor.channels]
+    if {"pN", "pE", "pD"} <= set(names):
+        north, east, down = (measurement[:, names.index(name)] for name in ("pN", "pE", "pD"))
+        return np.stack([east, north, -down], axis=1)
     if {"x", "y", "z"} <= set(names):
         return measurement[:, [names.index(axis) for axis in "xyz"]]
     if not {"range", "azimuth", "elevation"} <= set(names):

@@ -25,7 +25,7 @@ class Options:
     reward: str = "rmse"
     actions: Sequence[str] | None = None
     recording: Recording | None = None
-    decision_interval: int = 1
+    decision_interval: int | None = None  # that of the scenario's measurements
     filter: str = ENGINE
     kappa: float = 1.0
 
@@ -33,7 +33,8 @@ class Options:
         if self.reward not in REWARDS:
             raise ValueError(unknown("reward", self.reward, REWARDS))
         interval = self.decision_interval
-        if isinstance(interval, bool) or not isinstance(interval, int) or interval < 1:
+        whole = isinstance(interval, int) and not isinstance(interval, bool)
+        if interval is not None and (not whole or interval < 1):
             raise ValueError(
                 f"decision_interval must be a whole number of filter steps, 1 or more, "
                 f"got {interval!r}."

@@ -55,7 +55,7 @@ class Film:
 
     def add(self, core: Core, info: dict[str, Any]) -> None:
         """Take in a step of an environment: its core (of one filter) and its info."""
-        position = info["estimate"][list(self._scenario.motion.position)]
+        position = self._scenario.local_position(info["estimate"])
         covariance = core.position_covariance()[0]
         factors = core.factors[0, core.knob_place]
         self.append(info["time"], position, covariance, info["position_error"], factors)
@@ -67,7 +67,8 @@ class Film:
 
         Args:
             time: s.
-            position, covariance: posterior estimate (3,) and its covariance (3, 3).
+            position: posterior estimate (3,), east, north and up.
+            covariance: of the position (3, 3), along the state's own axes.
             error: distance to the true position, m; NaN where the truth is unknown.
             factors: those of the knobs.
         """

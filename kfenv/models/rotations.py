@@ -117,15 +117,16 @@ def exponential_as_printed(sigma: ArrayLike) -> Array:
 
 
 def logarithm(C: ArrayLike) -> Array:
-    """The rotation vector (..., 3), rad, of a matrix (..., 3, 3) that turns by less than pi / 2."""
+    """The rotation vector (..., 3), rad, of a matrix (..., 3, 3) that turns by less than pi."""
     C = np.asarray(C, float)
     axis = 0.5 * np.stack(
         [C[..., 2, 1] - C[..., 1, 2], C[..., 0, 2] - C[..., 2, 0], C[..., 1, 0] - C[..., 0, 1]],
         axis=-1,
     )
     sine = np.linalg.norm(axis, axis=-1, keepdims=True)
-    ratio = np.divide(np.arcsin(sine), sine, out=np.ones_like(sine), where=sine > 1e-9)
-    return ratio * axis
+    cosine = 0.5 * (np.trace(C, axis1=-2, axis2=-1)[..., None] - 1.0)
+    angle = np.arctan2(sine, cosine)
+    return axis * np.divide(angle, sine, out=np.ones_like(sine), where=sine > 1e-9)
 
 
 def _as_matrix(components) -> Array:

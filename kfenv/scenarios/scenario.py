@@ -102,6 +102,15 @@ class TrackingScenario(ABC):
         return len(self.motion.inputs), len(self.sensor.inputs)
 
     @property
+    def steps_per_measurement(self) -> int:
+        """Filter steps from one measurement to the next, faults aside."""
+        return 1
+
+    def local_position(self, states: Array) -> Array:
+        """East, north and up (..., 3), m, of states (..., n), for drawings."""
+        return states[..., list(self.motion.position)]
+
+    @property
     def initial_deviations(self) -> Array:
         """Standard deviations (n,) of the initial estimate."""
         return np.tile(self.initial_deviation, 3)
