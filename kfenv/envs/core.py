@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from kfenv.envs import statistics
 from kfenv.envs.knobs import choose_knobs, knobs_of
-from kfenv.envs.options import ENGINE, Options
+from kfenv.envs.options import ENGINE, GAUSSIAN_SUMS, Options
 from kfenv.filters.engine import Engine
 from kfenv.filters.results import Prediction, Update
 from kfenv.scenarios.recording import Recording
@@ -304,14 +304,18 @@ def make_filter(scenario: Any, options: Options):
     motion, sensor = scenario.motion, scenario.sensor
     if options.filter == ENGINE:
         return Engine(motion, sensor, options.kappa)
-    if options.mixture:
-        from kfenv.filters.adaptive import build_tier, told_design
-
-        design = told_design(options.filter, scenario.mixture)
-        return build_tier(motion, sensor, design, compiled=True)
+    from kfenv.filters.adaptive import ADAPTIVE_DESIGNS, build_tier, told_design
     from kfenv.filters.designs import DESIGNS, find_design
     from kfenv.filters.reference import ReferenceFilter
 
+    if options.mixture:
+        design = told_design(options.filter, scenario.mixture)
+        return build_tier(motion, sensor, design, compiled=True)
+    if options.filter in ADAPTIVE_DESIGNS and ADAPTIVE_DESIGNS[options.filter].fading:
+        raise ValueError(
+            f"The filter {options.filter!r} fades by itself, and here fading is a knob: choose "
+            f"one of {', '.join(GAUSSIAN_SUMS)} and let an agent turn it."
+        )
     if find_design(options.filter).form != "square-root":
         known = [name for name, design in DESIGNS.items() if design.form == "square-root"]
         raise ValueError(
