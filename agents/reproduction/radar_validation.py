@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from kfenv.scenarios.radar_validation import RadarValidation
+from kfenv.scenarios.trajectories import drawn_trajectory, paper_trajectory
 
 from . import figures, timing
 from .bounds import bound, over_bound
@@ -50,10 +54,22 @@ SENSITIVITY = {  # what moves the instant at which the printed EKF breaks
 }
 SENSITIVITY_RUNS = 25
 VAGUE_LIMIT, VAGUE_AFTER = 1000.0, 150.0  # m rms, s: what counts as lost there (SPEC 7.1)
+DRAWN = tuple(m for m in METHODS if m.label in ("EKF-J", "UKF", "UKF-J", "SRUKF-J exact"))
+DRAWN_RUNS, DRAWN_DURATION = 200, 60.0  # s: longer flights leave all likelihood
 SETTLED = 25.0  # s
 BROKEN = 1e6  # condition number of a covariance that has come apart
 CHEAP = 0.25  # share of the computing time that still counts as nothing
 MATTERS = 0.01  # share of the RMSE below which a difference is of no account
+
+
+@dataclass(frozen=True)
+class DrawnFlights(RadarValidation):
+    """Flights drawn from the filter's own motion model, from where trajectory A starts."""
+
+    def trajectory(self, rng: Generator) -> Array:
+        """Truth (T, 9)."""
+        start = paper_trajectory("A", self.time[:2])[0]
+        return drawn_trajectory(rng, self.motion, start, self.time)
 
 
 def at_10_hz(laboratory: Laboratory) -> list[Claim]:
@@ -84,7 +100,7 @@ def _reproduce(laboratory: Laboratory, scenario: RadarValidation, name: str) -> 
         _conditioning(study, outcomes, name),
         _cost(times, name),
         _never_fails(vague, name),
-        _near_the_bound(study, outcomes, least, name),
+        _near_the_bound(laboratory, study, outcomes, least, name),
     ]
 
 
@@ -327,17 +343,27 @@ def _astray(study: Study, outcome: Outcome) -> NDArray[np.bool_]:
     return ~(rms <= VAGUE_LIMIT)
 
 
-def _near_the_bound(study: Study, outcomes: dict[str, Outcome], least: Array, name: str) -> Claim:
-    labels = ("EKF-J", "UKF", "UKF-J", "SRUKF-J exact")
-    ratios = {label: over_bound(study, outcomes[label], least, SETTLED) for label in labels}
-    told = "; ".join(
-        f"{label} " + "/".join(f"{value:.3f}" for value in ratio) for label, ratio in ratios.items()
+def _near_the_bound(
+    laboratory: Laboratory, study: Study, outcomes: dict[str, Outcome], least: Array, name: str
+) -> Claim:
+    drawn, found = laboratory.study(
+        "drawn flights", DrawnFlights(DRAWN_DURATION, study.scenario.rate), DRAWN, DRAWN_RUNS
     )
+    limit = bound(drawn)
+    laboratory.save(figures.rmse(drawn.time, found, limit[:, 0:9:3]), "rmse_drawn_flights")
+    near = {label: over_bound(drawn, outcome, limit, SETTLED) for label, outcome in found.items()}
+    told = "; ".join(f"{label} {_ratios(ratio)}" for label, (ratio, _) in near.items())
+    published = over_bound(study, outcomes["SRUKF-J exact"], least, SETTLED)[0]
     return Claim(
         f"bound ({name})",
         "no filter is below the posterior Cramér-Rao bound",
         "SPEC 10",
-        f"RMSE over the bound x/y/z: {told}. The bound is that of flights drawn from the motion "
-        "model; this one flight manoeuvres less than the model expects, and leaves room below",
-        judge(all(np.all(ratio > 1.0 - 2.0 / np.sqrt(study.runs)) for ratio in ratios.values())),
+        f"RMSE over the bound x/y/z in {drawn.runs} flights drawn from the motion model, for which "
+        f"alone it is one: {told}. On the published flight {_ratios(published)}: it manoeuvres "
+        "less than the model expects, which leaves room below",
+        judge(all(np.all(upper > 1.0) for _, upper in near.values())),
     )
+
+
+def _ratios(numbers: Array) -> str:
+    return "/".join(f"{number:.3f}" for number in numbers)
