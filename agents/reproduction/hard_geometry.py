@@ -109,17 +109,19 @@ class HardGeometry(RadarScenario):
 
 
 CLOSE = {"distance": (5.0, 100.0), "elevation": (0.0, 0.5 * pi)}
-PRECISE = (0.01, 1e-6, 1e-6)
+VAGUE = (1e4, 1e3, 3.0)  # m, m/s, m/s^2
+WILD = (1e4, 1e3, 100.0)
+PRECISE = (0.01, 1e-6, 1e-6)  # m, rad, rad
 LOSS = SignalLoss((20.0, 20.0), start=15.0)
 CASES = {
     "passing within 100 m": HardGeometry(**CLOSE),
     "azimuth across ±180°": HardGeometry(bearing=(pi, pi)),
-    "prior of 10 km, 1 km/s": HardGeometry(prior=(1e4, 1e3, 3.0)),
-    "the same and 100 m/s²": HardGeometry(prior=(1e4, 1e3, 1e2)),
-    "the same, linear motion": HardGeometry(prior=(1e4, 1e3, 1e2), turning=False),
-    "sensor of 1e-6 rad, 1 cm": HardGeometry(noise_deviation=PRECISE),
-    "the same within 100 m": HardGeometry(noise_deviation=PRECISE, **CLOSE),
-    "signal lost for 20 s": HardGeometry(faults=(LOSS,)),
+    "vague prior": HardGeometry(prior=VAGUE),
+    "vague prior, accelerating": HardGeometry(prior=WILD),
+    "vague prior, linear motion": HardGeometry(prior=WILD, turning=False),
+    "near-exact sensor": HardGeometry(noise_deviation=PRECISE),
+    "near-exact within 100 m": HardGeometry(noise_deviation=PRECISE, **CLOSE),
+    "20 s of signal loss": HardGeometry(faults=(LOSS,)),
 }
 
 
