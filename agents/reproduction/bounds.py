@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from kfenv.filters.bound import cramer_rao_bound
 
+from .claims import mean_and_interval
 from .monte_carlo import Outcome, Study
 
 Array = NDArray[np.float64]
@@ -32,8 +33,14 @@ def bound(study: Study) -> Array:
     return np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)[study.kept])
 
 
-def over_bound(study: Study, outcome: Outcome, least: Array, after: float) -> Array:
-    """(3,) RMS position error of each axis over the bound's RMS, tracks kept, after a time, s."""
+def over_bound(study: Study, outcome: Outcome, least: Array, after: float) -> tuple[Array, Array]:
+    """RMS position error over the bound's RMS after a time (s), tracks kept, and its 95 % bound.
+
+    Returns:
+        The ratio of each axis (3,), and the upper end of its interval over the runs (3,).
+    """
     late = study.time > after
-    errors = outcome.position_error[~outcome.lost][:, late]
-    return np.sqrt(np.mean(errors**2, axis=(0, 1)) / np.mean(least[late, 0:9:3] ** 2, axis=0))
+    squares = np.mean(outcome.position_error[~outcome.lost][:, late] ** 2, axis=1)
+    ratios = squares / np.mean(least[late, 0:9:3] ** 2, axis=0)
+    means, _, uppers = np.array([mean_and_interval(axis) for axis in ratios.T]).T
+    return np.sqrt(means), np.sqrt(uppers)

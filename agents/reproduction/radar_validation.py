@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from kfenv.scenarios.radar_validation import RadarValidation
+from kfenv.scenarios.trajectories import drawn_trajectory, paper_trajectory
 
 from . import figures, timing
 from .bounds import bound, over_bound
@@ -50,10 +54,24 @@ SENSITIVITY = {  # what moves the instant at which the printed EKF breaks
 }
 SENSITIVITY_RUNS = 25
 VAGUE_LIMIT, VAGUE_AFTER = 1000.0, 150.0  # m rms, s: what counts as lost there (SPEC 7.1)
+DRAWN = tuple(m for m in METHODS if m.label in ("EKF-J", "UKF", "UKF-J", "SRUKF-J exact"))
+DRAWN_RUNS = 200
+DRAWN_DURATION, DRAWN_SETTLED = 30.0, 10.0  # s: some longer ones would pass close to the radar,
+# whose information would lower the bound for all
 SETTLED = 25.0  # s
 BROKEN = 1e6  # condition number of a covariance that has come apart
 CHEAP = 0.25  # share of the computing time that still counts as nothing
 MATTERS = 0.01  # share of the RMSE below which a difference is of no account
+
+
+@dataclass(frozen=True)
+class DrawnFlights(RadarValidation):
+    """Flights drawn from the filter's own motion model, from where trajectory A starts."""
+
+    def trajectory(self, rng: Generator) -> Array:
+        """Truth (T, 9)."""
+        start = paper_trajectory("A", self.time[:2])[0]
+        return drawn_trajectory(rng, self.motion, start, self.time)
 
 
 def at_10_hz(laboratory: Laboratory) -> list[Claim]:
@@ -84,7 +102,7 @@ def _reproduce(laboratory: Laboratory, scenario: RadarValidation, name: str) -> 
         _conditioning(study, outcomes, name),
         _cost(times, name),
         _never_fails(vague, name),
-        _near_the_bound(study, outcomes, least, name),
+        _near_the_bound(laboratory, study, outcomes, least, name),
     ]
 
 
@@ -223,14 +241,15 @@ def _accuracy(study: Study, outcomes: dict[str, Outcome], name: str) -> list[Cla
             "the UKF is more accurate than the EKF",
             "S0, S1 sec. 4",
             f"RMSE x/y/z after {SETTLED:g} s, m: {axes}. EKF-J less UKF-J on the same noise: "
-            f"{with_interval(over_ekf)} of {typical:.0f}",
+            f"{with_interval(over_ekf)} of {typical:.0f}; less than {MATTERS:.0%} counts as none",
             judge(_matters(over_ekf, typical)),
         ),
         Claim(
             f"C4 ({name})",
             "the Joseph sigma-point filter is more accurate than the classical one",
             "S1 Fig. 5",
-            f"UKF less UKF-J: {with_interval(over_classical)} of {typical:.0f}",
+            f"UKF less UKF-J: {with_interval(over_classical)} of {typical:.0f}; less than "
+            f"{MATTERS:.0%} counts as none",
             judge(_matters(over_classical, typical)),
         ),
         Claim(
@@ -327,17 +346,29 @@ def _astray(study: Study, outcome: Outcome) -> NDArray[np.bool_]:
     return ~(rms <= VAGUE_LIMIT)
 
 
-def _near_the_bound(study: Study, outcomes: dict[str, Outcome], least: Array, name: str) -> Claim:
-    labels = ("EKF-J", "UKF", "UKF-J", "SRUKF-J exact")
-    ratios = {label: over_bound(study, outcomes[label], least, SETTLED) for label in labels}
-    told = "; ".join(
-        f"{label} " + "/".join(f"{value:.3f}" for value in ratio) for label, ratio in ratios.items()
+def _near_the_bound(
+    laboratory: Laboratory, study: Study, outcomes: dict[str, Outcome], least: Array, name: str
+) -> Claim:
+    drawn, found = laboratory.study(
+        "drawn flights", DrawnFlights(DRAWN_DURATION, study.scenario.rate), DRAWN, DRAWN_RUNS
     )
+    limit = bound(drawn)
+    laboratory.save(figures.rmse(drawn.time, found, limit[:, 0:9:3]), "rmse_drawn_flights")
+    near = {
+        label: over_bound(drawn, outcome, limit, DRAWN_SETTLED) for label, outcome in found.items()
+    }
+    told = "; ".join(f"{label} {_ratios(ratio)}" for label, (ratio, _) in near.items())
+    published = over_bound(study, outcomes["SRUKF-J exact"], least, SETTLED)[0]
     return Claim(
         f"bound ({name})",
         "no filter is below the posterior Cramér-Rao bound",
         "SPEC 10",
-        f"RMSE over the bound x/y/z: {told}. The bound is that of flights drawn from the motion "
-        "model; this one flight manoeuvres less than the model expects, and leaves room below",
-        judge(all(np.all(ratio > 1.0 - 2.0 / np.sqrt(study.runs)) for ratio in ratios.values())),
+        f"RMSE over the bound x/y/z in {drawn.runs} flights drawn from the motion model, for which "
+        f"alone it is one: {told}. On the published flight {_ratios(published)}: it manoeuvres "
+        "less than the model expects, which leaves room below",
+        judge(all(np.all(upper > 1.0) for _, upper in near.values())),
     )
+
+
+def _ratios(numbers: Array) -> str:
+    return "/".join(f"{number:.3f}" for number in numbers)

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from kfenv.models.constant_acceleration import constant_acceleration
 from kfenv.models.model import Motion, Sensor
-from kfenv.models.namespaces import scalar
 from kfenv.models.position import position
 from kfenv.scenarios.faults import Draft, Fault, Glint, Jamming, NoiseMisreport, SignalLoss
 from kfenv.scenarios.scenario import TrackingScenario
+from kfenv.scenarios.trajectories import drawn_trajectory
 
 Array = NDArray[np.float64]
 
@@ -65,15 +65,7 @@ class BistaticTracking(TrackingScenario):
 
     def trajectory(self, rng: Generator) -> Array:
         """From rest at the origin, driven by the model's own discrete noise."""
-        model, dt = self.motion.build(scalar), 1.0 / self.rate
-        truth = np.zeros((len(self.time), len(self.motion.states)))
-        factor = np.zeros((truth.shape[1], truth.shape[1]))
-        rows, columns = zip(*self.motion.noise_pattern, strict=True)
-        factor[rows, columns] = model.noise_factor(tuple(truth[0]), (), dt)
-        noise = rng.standard_normal((len(truth) - 1, len(factor))) @ factor.T
-        for k, jump in enumerate(noise):
-            truth[k + 1] = model.step(truth[k].tolist(), (), dt) + jump
-        return truth
+        return drawn_trajectory(rng, self.motion, np.zeros(9), self.time)
 
     def deviations(self, draft: Draft) -> tuple[Array, Array]:
         """The same at every time, and told as it is."""
