@@ -17,6 +17,7 @@ from kfenv.models.rotations import (
     matrix_from_angles,
 )
 from kfenv.models.strapdown import GRAVITY, mechanise, step_as_printed, strapdown
+from kfenv.scenarios.inertial_flights import exact_samples, random_flight
 
 # ----- rotations ------------------------------------------------------------------------
 
@@ -113,6 +114,68 @@ def test_straight_up_is_finite(roll, yaw):
     for pitch in (np.pi / 2.0, -np.pi / 2.0):
         x = step((0.0,) * 6 + (roll, pitch, yaw), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.01)
         assert np.isfinite(x).all() and x[7] == pytest.approx(pitch, abs=1e-7)
+
+
+# ----- against an independent library ------------------------------------------------------
+
+LATITUDE, HEIGHT = 45.0, 1000.0  # deg, m
+
+
+def by_pyins(start, samples, dt):
+    """States (T, 9) by pyins on a turning ellipsoid, position as the way travelled."""
+    pandas, strapdown = pytest.importorskip("pandas"), pytest.importorskip("pyins.strapdown")
+    theta = samples[1:, 3:] * dt
+    dv = samples[1:, :3] * dt
+    dv = dv + 0.5 * np.cross(theta, dv)  # force and rate constant over the step
+    index = pandas.Index(dt * np.arange(len(samples)), name="time")
+    increments = pandas.DataFrame(
+        np.hstack([np.full((len(theta), 1), dt), theta, dv]), index[1:],
+        ["dt", *(f"theta_{axis}" for axis in "xyz"), *(f"dv_{axis}" for axis in "xyz")],
+    )  # fmt: skip
+    pva = [LATITUDE, 7.0, HEIGHT, *start[3:6], *np.degrees(start[6:])]
+    names = ["lat", "lon", "alt", "VN", "VE", "VD", "roll", "pitch", "heading"]
+    integrator = strapdown.Integrator(pandas.Series(pva, names, name=0.0))
+    trajectory = integrator.integrate(increments)[names].to_numpy()
+    velocity = trajectory[:, 3:6]
+    travelled = np.cumsum(0.5 * dt * (velocity[1:] + velocity[:-1]), axis=0)
+    position = start[:3] + np.vstack([np.zeros(3), travelled])
+    return np.hstack([position, velocity, np.radians(trajectory[:, 6:])])
+
+
+def with_earth(state, sample):
+    """The sample as it would be felt on a flat Earth at rest: less Earth and transport rate,
+    Coriolis force, and the difference of WGS 84's gravity from 9.81 m/s^2."""
+    from pyins import earth
+
+    north, _, down, vn, ve, vd = state[:6]
+    latitude, height = LATITUDE + np.degrees(north / 6.37e6), HEIGHT - down
+    rn, re, _ = earth.principal_radii(latitude, height)
+    sine, cosine = np.sin(np.radians(latitude)), np.cos(np.radians(latitude))
+    spin = earth.RATE * np.array([cosine, 0.0, -sine])
+    transport = np.array([ve / re, -vn / rn, -ve / re * sine / cosine])
+    push = -np.cross(2.0 * spin + transport, [vn, ve, vd])
+    push[2] += earth.gravity(latitude, height) - GRAVITY
+    C = matrix_from_angles(state[6:])
+    return sample + np.concatenate([C.T @ push, -C.T @ (spin + transport)])
+
+
+def test_the_difference_to_pyins_is_earth_rate_transport_rate_and_gravity():
+    dt = 0.01
+    time = dt * np.arange(6001)  # 60 s
+    flight = random_flight(np.random.default_rng(3), time)
+    flight[:, 2] -= flight[0, 2]
+    samples = exact_samples(flight, time)
+    theirs = by_pyins(flight[0], samples, dt)
+    raw = theirs[-1, :3] - flight[-1, :3]
+    assert 5.0 < np.linalg.norm(raw) < 50.0  # what the model leaves out in a minute, m
+    step = strapdown().build(scalar).step
+    ours = [flight[0]]
+    for sample in samples[1:]:
+        ours.append(np.array(step(tuple(ours[-1]), tuple(with_earth(ours[-1], sample)), dt)))
+    off = np.array(ours) - theirs
+    off[:, 6:] = np.angle(np.exp(1j * off[:, 6:]))
+    assert np.abs(off[:, :3]).max() < 0.01
+    assert np.abs(off[:, 3:6]).max() < 1e-3 and np.abs(off[:, 6:]).max() < 3e-6
 
 
 # ----- process noise --------------------------------------------------------------------
