@@ -10,7 +10,13 @@ from rich.progress import Progress
 
 from kfenv.names import unknown
 
-from . import bistatic, hard_geometry, radar_tracking, radar_validation
+from . import (
+    bistatic,
+    hard_geometry,
+    inertial_navigation,
+    radar_tracking,
+    radar_validation,
+)
 from .claims import Claim, write_claims
 from .laboratory import Laboratory
 
@@ -39,6 +45,9 @@ EXPERIMENTS: dict[str, Experiment] = {
     ),
     "hard": Experiment("lost tracks in hard geometry", 200, hard_geometry.reproduce),
     "E5": Experiment("bistatic tracking, linear filter (S3 sec. 5)", 2000, bistatic.reproduce),
+    "E6": Experiment(
+        "inertial navigation with outlying fixes (S4 sec. 5)", 100, inertial_navigation.reproduce
+    ),
 }
 
 
