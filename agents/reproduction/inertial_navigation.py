@@ -145,7 +145,7 @@ def _told(study: Study, outcomes: Mapping[str, Outcome], labels: Sequence[str]) 
         position, velocity, attitude = (
             _pooled(study, outcomes[label], part) for part in PARTS.values()
         )
-        rows.append(f"{label} {position:.4g} m, {velocity:.3g} m/s, {attitude:.2g} deg")
+        rows.append(f"{label} {position:.4g} m, {velocity:.3g} m/s, {attitude:.2f} deg")
     return "; ".join(rows)
 
 
