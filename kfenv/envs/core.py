@@ -59,6 +59,7 @@ class Core:
         }
         if has_truth:
             self._episode["truth"] = np.zeros((batch, steps, n))
+            self._episode["scored"] = np.ones((batch, steps))
         self._nominal_error = np.zeros((batch, steps))
         self._dt = np.diff(times, prepend=times[0])
         self._prediction = Prediction(np.zeros((batch, n)), *np.zeros((2, batch, n, n)))
@@ -71,7 +72,7 @@ class Core:
         self.status = np.zeros(batch, np.int64)
         self.error = np.full(batch, np.nan)
         self.nees = np.full(batch, np.nan)
-        self.total_squared_error, self.total_nees = np.zeros((2, batch))
+        self.total_squared_error, self.total_nees, self.total_scored = np.zeros((3, batch))
         self._statistics = np.zeros((batch, len(sensor.groups), statistics.COLUMNS))
         self._since = np.zeros(batch)
         self._action = np.zeros((batch, len(self.knobs)))
@@ -92,7 +93,8 @@ class Core:
     def load(self, chosen: NDArray[np.int64], recording: Recording) -> None:
         """Start new episodes at the chosen places, one per episode of the recording."""
         for name, array in self._episode.items():
-            array[chosen] = getattr(recording, name)
+            given = getattr(recording, name)
+            array[chosen] = 1.0 if given is None else given  # only `scored` may be left out
         if self.options.reward == "improvement" and self.has_truth:
             self._nominal_error[chosen] = self._errors_of_nominal(recording)
         self.index[chosen] = 0
@@ -112,6 +114,7 @@ class Core:
         self.factors[chosen] = 1.0
         self.total_squared_error[chosen] = 0.0
         self.total_nees[chosen] = 0.0
+        self.total_scored[chosen] = 0.0
         mask = np.zeros(self.batch, bool)
         mask[chosen] = True
         self._score(mask)
@@ -155,6 +158,7 @@ class Core:
             if not active.any():
                 break
         self.total_squared_error += squared
+        self.total_scored += count
         lost = running & self.lost
         ended = running & ~lost & (self.index >= len(self.time))
         count = np.maximum(count, 1.0)
@@ -230,6 +234,8 @@ class Core:
                 self._update.mean, self._update.factor, self._gather("truth"), self._position,
                 work, self.error, self.nees,
             )  # fmt: skip
+            unknown = active & (self._gather("scored") == 0.0)
+            self.error[unknown] = self.nees[unknown] = np.nan
         failed = active & (self.status != 0)
         if failed.any():
             self.error[failed] = self.scenario.lost_distance

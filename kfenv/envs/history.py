@@ -26,6 +26,7 @@ class History:
         truth, measured: true and measured positions (T, 3), or None.
         lasting, passing: faults that last the whole episode and those that do not.
         colours: of the passing faults' labels.
+        stride: filter steps from one measurement to the next.
         steps: the times of the updates so far.
         position, covariance, error, factors: of the updates so far.
         centre, spread: the latest estimate (3,) and covariance (3, 3), first the initial one.
@@ -33,7 +34,7 @@ class History:
 
     def __init__(self, scenario: Any, recording: Recording, knobs: int) -> None:
         place = list(scenario.motion.position)
-        self._axes = local_axes(scenario)
+        self._axes, self.stride = local_axes(scenario), scenario.steps_per_measurement
         self.time = recording.time
         self.truth = None
         if recording.truth is not None:

@@ -25,6 +25,10 @@ class InsGnssEnv(TrackingEnv):
     The frame is local: north, east, down, flat, gravity 9.81 m/s^2; Earth rotation and
     transport rate are neglected. Body axes are forward, right, down.
 
+    With ``log`` the filter runs on a real log instead: a window of it an episode, at first
+    aligned by gravity and the course. Without attitude in it, the groups are position and
+    velocity, and there is one knob and seven features less for the attitude.
+
     ``info`` holds, after ``reset`` and every ``step``: ``time`` (s) of the filter step made
     last, its ``estimate`` (9 states: position and velocity north, east and down in m and
     m/s; roll, pitch and yaw in rad), ``position_error`` (m) and ``nis`` (NaN where no fix
@@ -89,6 +93,8 @@ class InsGnssEnv(TrackingEnv):
 
     A lost track costs the cap (10 or 3) for that decision and each that remained, so that
     losing it never pays. Without truth, and with the track kept, the reward is zero.
+    With a ``log`` of two files, errors are the distances to the fixes that faults withhold
+    from the filter, and nothing else counts; ``position_error`` is NaN elsewhere.
 
     ## Starting State
     The flight is random: straight legs, coordinated turns of 2 to 10 deg/s, climbs and
@@ -121,15 +127,24 @@ class InsGnssEnv(TrackingEnv):
     - ``process_noise``: what the filter believes of the errors that the samples bring into
       position (m), velocity (m/s) and attitude (deg): standard deviations after a second,
       default (5, 3, 0.25).
+    - ``log``: paths of CSV files to run on, ``(IMU, GNSS)`` or ``(IMU, GNSS, TRUTH)``, one
+      clock, columns by name (`kfenv.scenarios.inertial_files`). IMU: ``t`` s, ``fx, fy, fz``
+      m/s^2, ``wx, wy, wz`` rad/s, axes forward, right, down. GNSS: ``t, lat, lon`` deg,
+      ``height`` m, ``vn, ve, vd`` m/s and the deviations ``sd_n, sd_e, sd_d, sd_vn, sd_ve,
+      sd_vd``. TRUTH: the first seven of these. Samples are averaged to ``rate``; the fixes
+      set ``measurement_rate``; ``process_noise`` should suit the unit. Episodes are windows
+      of the log's first 30 %; contests validate on the next 20 % and test on the rest.
     - ``faults``: what spoils an episode.
 
-      - ``"random"`` (default): at most one jamming burst of 3 to 10 s that raises the noise
-        of all fixes 2 to 10 times; one to three bursts of interference of 4 to 15 s in which
-        5 to 60 % of the fixes or of their numbers are outliers of 3 to 22 times the noise; a
-        signal loss of 2 to 8 s; in half of the episodes glint, one fix in ten with 8 times the
-        noise; a misreported noise level, 0.4 to 2.5 times the true one in each channel;
-        and in half of the episodes each a step of 0.5 to 5 m/s^2 in the specific force and
-        one of 0.5 to 3 deg/s in the angular rate, for 3 to 12 s along one axis.
+      - ``"random"`` (default; with a ``log`` as ``"outages"``): at most one jamming burst of
+        3 to 10 s that raises the noise of all fixes 2 to 10 times; one to three bursts of
+        interference of 4 to 15 s in which 5 to 60 % of the fixes, or of their numbers, are
+        outliers of 3 to 22 times the noise; a signal loss of 2 to 8 s; in half of the
+        episodes glint, one fix in ten with 8 times the noise; a misreported noise level,
+        0.4 to 2.5 times the true one in each channel; and in half of the episodes each a
+        step of 0.5 to 5 m/s^2 in the specific force and one of 0.5 to 3 deg/s in the angular
+        rate, for 3 to 12 s along one axis.
+      - ``"outages"``: a signal loss of 5 to 15 s.
       - ``"paper"``: the published case, 15 % outliers of 500 times the variance from 7 to
         26 s.
       - ``"none"``.

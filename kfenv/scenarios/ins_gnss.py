@@ -34,6 +34,8 @@ from kfenv.scenarios.inertial_faults import (
     RateStep,
 )
 from kfenv.scenarios.inertial_flights import exact_samples, paper_flight, random_flight
+from kfenv.scenarios.inertial_log import InertialLog, check_paths, read_log
+from kfenv.scenarios.recording import Recording, stack
 from kfenv.scenarios.scenario import TrackingScenario
 from kfenv.scenarios.trajectories import MAX_DURATION
 
@@ -56,10 +58,10 @@ class InsGnss(TrackingScenario):
     imu_bias: tuple[float, float] = (0.1, 0.1)
     imu_instability: tuple[float, float] = (0.0, 0.0)
     process_noise: tuple[float, float, float] = (5.0, 3.0, 0.25)
+    log: Sequence[str] | None = None
 
     name: ClassVar[str] = "InsGnss"
     initial_deviation: ClassVar[tuple[float, ...]] = (50.0, 2.0, radians(2.0))
-    circular: ClassVar[tuple[int, ...]] = (6, 7, 8)
     error_scale: ClassVar[float] = 20.0
     mixture: ClassVar[tuple[float, float]] = (OUTLIER_SHARE, VARIANCE_RATIO)
     known_faults: ClassVar[Mapping[str, type]] = FAULTS | {
@@ -79,17 +81,22 @@ class InsGnss(TrackingScenario):
             RateStep(size=(0.5, 3.0)),
         ),
         "paper": (Outliers(),),
+        "outages": (SignalLoss(duration=(5.0, 15.0)),),
         "none": (),
     }
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.log is not None:
+            object.__setattr__(self, "log", check_paths(self.log))
+            object.__setattr__(self, "measurement_rate", self.rate / self._log.steps_per_fix)
+            self._log.starts(self.duration, "tuning")  # complains
         _check_numbers(self, "gnss_noise", ("m", "m/s", "deg"))
         _check_numbers(self, "process_noise", ("m", "m/s", "deg"))
         for name in ("imu_noise", "imu_bias", "imu_instability"):
             _check_numbers(self, name, ("m/s^2", "deg/s"), zero=True)
         self._check_measurement_rate()
-        if self.faults != "paper" and self.duration > MAX_DURATION:
+        if self.log is None and self.faults != "paper" and self.duration > MAX_DURATION:
             raise ValueError(
                 f"A random flight lasts at most {MAX_DURATION:g} s, got duration="
                 f"{self.duration!r}: run more episodes instead."
@@ -116,8 +123,17 @@ class InsGnss(TrackingScenario):
 
     @cached_property
     def sensor(self) -> Sensor:
-        """Position, velocity and attitude."""
-        return navigation_fix()
+        """Position, velocity and attitude; of a log no attitude."""
+        return navigation_fix(attitude=self.log is None)
+
+    @property
+    def _log(self) -> InertialLog:
+        return read_log(self.log, float(self.rate))
+
+    @property
+    def circular(self) -> tuple[int, ...]:
+        """The channels of attitude."""
+        return () if self.log is not None else (6, 7, 8)
 
     @property
     def steps_per_measurement(self) -> int:
@@ -138,6 +154,58 @@ class InsGnss(TrackingScenario):
     def local_position(self, states: Array) -> Array:
         """East, north and up (..., 3), m, of states (..., 9)."""
         return states[..., [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
+
+    def recorded(self, split: str, episodes: int) -> Recording | None:
+        """The windows of a log that are kept for validation or test, None for other episodes.
+
+        Raises:
+            ValueError: if the log is too short for one.
+        """
+        if self.log is None or split == "tuning":
+            return None
+        starts = self._log.apart(self.duration, split)[:episodes]
+        return stack([self._replay(start, np.random.default_rng(start)) for start in starts])
+
+    def episode(self, rng: Generator) -> Recording:
+        """Draw one episode, or a window of the log's part for training."""
+        if self.log is None:
+            return super().episode(rng)
+        return self._replay(rng.choice(self._log.starts(self.duration, "tuning")), rng)
+
+    def spoil(self, draft: Draft, rng: Generator) -> None:
+        """Apply the faults in turn; to a log the default ones are outages."""
+        if self.log is None or self.faults != "random":
+            super().spoil(draft, rng)
+        else:
+            for fault in self.presets["outages"]:
+                fault.apply(draft, rng)
+
+    def _replay(self, start: int, rng: Generator) -> Recording:
+        """A window of the log; faults that raise the noise add what is missing to it."""
+        window = self._log.window(start, self.duration)
+        draft = Draft.clean(
+            self.time, window.fix.shape[1], exact=window.fix, motion_inputs=window.samples.copy(),
+            sensor_inputs=np.empty((len(self.time), 0)),
+        )  # fmt: skip
+        draft.available[:] = window.arrived[:, None]
+        self.spoil(draft, rng)
+        missing = np.sqrt(np.maximum(draft.noise_factor**2 - 1.0, 0.0)) * window.deviation
+        measurement = draft.exact + missing * rng.standard_normal(missing.shape)
+        measurement[~draft.available] = np.nan
+        withheld = window.arrived & ~draft.available.any(axis=1)
+        return Recording(
+            time=self.time,
+            measurement=measurement[None],
+            noise=(window.deviation * draft.told_factor)[None],
+            mean=window.mean[None],
+            factor=window.factor[None],
+            motion_inputs=draft.motion_inputs[None],
+            sensor_inputs=draft.sensor_inputs[None],
+            truth=window.truth[None],
+            true_noise=(window.deviation * draft.noise_factor)[None],
+            scored=withheld[None] if self._log.truth is None else None,
+            faults=(tuple(draft.intervals),),
+        )
 
     def trajectory(self, rng: Generator) -> Array:
         """The published flight, or a random one: truth (T, 9)."""
