@@ -214,8 +214,9 @@ def _signal_lost(study: Study, gaps: dict[float, Outcomes], bare: dict[float, Ou
         "the UKF diverges when the signal is lost",
         "S0 sec. 5.1",
         f"of {study.runs} runs lost from {LOSS_START:g} s on, in brackets without the speed floor "
-        f"of the motion model, κ = {KAPPA:g} unless told. Loss of {'; '.join(told)}. Of the {astray} losses with κ = -6, whose central "
-        f"weight is negative, {rootless} are of the covariance's positive definiteness",
+        f"of the motion model, κ = {KAPPA:g} unless told. Loss of {'; '.join(told)}. Of the "
+        f"{astray} losses with κ = -6, whose central weight is negative, {rootless} are of the "
+        "covariance's positive definiteness",
         judge(_lost(gaps[LOSSES[0]], LOSS_START)["UKF"] > 0),
     )
 
