@@ -16,6 +16,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from kfenv.filters.designs import DESIGNS
+
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
@@ -96,13 +98,16 @@ def train(
     console.print(f"  kfenv evaluate {env}{options} --agent {output} --output {output}-evaluation")
 
 
-@app.command()
+@app.command(epilog=f"Fixed filters of the family: {', '.join(DESIGNS)}.")
 def evaluate(
     env: Environment,
     output: Annotated[Path, typer.Option(help="New folder for results and figures.")],
     agent: Annotated[
         list[str] | None,
-        typer.Option(help="A name, or the path of a trained policy (NAME=PATH names it); repeat."),
+        typer.Option(
+            help="An agent, a fixed filter, or the path of a trained policy (NAME=PATH names it); "
+            "repeat."
+        ),
     ] = None,
     episodes: Annotated[int, typer.Option(min=2, help="Unseen episodes.")] = 200,
     seed: Seed = 0,
@@ -122,7 +127,7 @@ def evaluate(
 ) -> None:
     """Contest agents on the same unseen episodes: table, figures, results.json.
 
-    Names: fixed, fixed-tuned, innovation-fading, innovation-fading-printed, huber-gate,
+    Agents: fixed, fixed-tuned, innovation-fading, innovation-fading-printed, huber-gate,
     innovation-noise, clairvoyant, random. Without --agent all of them take part.
     """
     with _complaints():
@@ -131,6 +136,37 @@ def evaluate(
             env, kwargs, tuple(agent or DEFAULT_AGENTS), episodes, seed, tuning_episodes,
             tuning_trials, output, processes, resume,
         )  # fmt: skip
+
+
+@app.command()
+def reproduce(
+    experiment: Annotated[
+        str,
+        typer.Argument(metavar="NAME", help="E1, E2, E3, E5, hard (lost tracks), or all."),
+    ],
+    output: Annotated[Path, typer.Option(help="New folder for figures and claims.")],
+    runs: Annotated[
+        int | None, typer.Option(min=2, help="In place of each experiment's own number.")
+    ] = None,
+    seed: Seed = 0,
+    processes: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
+    resume: Resume = False,
+) -> None:
+    """Repeat the experiments of the papers: figures, and a table of which claims hold.
+
+    E1 and E2: radar of constant noise at 10 and 2 Hz; E3: phased array under jamming and loss;
+    E5: bistatic tracking; hard: lost tracks in hard geometry. claims.md holds the table.
+    """
+    from .reproduction.claims import claims_table
+    from .reproduction.experiments import chosen_experiments
+    from .reproduction.experiments import reproduce as run_experiments
+
+    with _complaints():
+        names = chosen_experiments(experiment)
+        with _progress() as bar:
+            claims = run_experiments(names, output, runs, seed, processes, resume, bar)
+        console.print(claims_table(claims))
+        console.print(f"Figures and claims: {output}")
 
 
 @app.command()

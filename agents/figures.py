@@ -7,32 +7,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from .evaluation import Contest, read_scores, read_values
-from .files import written_whole
+from .plotting import COLOURS, clean, save, shade
 from .registry import make_agent
 from .rollout import draw_episodes, rollout
-
-# Okabe and Ito's palette, told apart with any colour vision, and some more.
-COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7", "#999999",
-           "#7F3B08", "#B2ABD2", "#35978F", "#C51B7D", "#F0E442", "#4D4D4D", "#8073AC")  # fmt: skip
-SHADES = {"jamming": "#D55E00", "signal loss": "#777777"}
 
 
 def draw_contest(contest: Contest, results: Sequence[dict[str, Any]], output: Path) -> list[Path]:
     """Write the figures of an evaluated contest and return their paths."""
     paths = [output / "rmse.png", output / "improvement.png", output / "episode.png"]
-    _save(_distributions(results, output), paths[0])
-    _save(_improvements(results), paths[1])
-    _save(_episode(contest, results, output), paths[2])
+    save(_distributions(results, output), paths[0])
+    save(_improvements(results), paths[1])
+    save(_episode(contest, results, output), paths[2])
     return paths
-
-
-def _save(figure: Figure, path: Path) -> None:
-    with written_whole(path) as file:
-        figure.savefig(file, format="png", dpi=130)
 
 
 def _ranked(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -60,7 +49,7 @@ def _distributions(results: Sequence[dict[str, Any]], output: Path) -> Figure:
     axes.set_title(f"{results[0]['env']}: {results[0]['episodes']} unseen episodes", loc="left")
     axes.legend(frameon=False, title="agent (median)", loc="center left",
                 bbox_to_anchor=(1.0, 0.5), fontsize=9)  # fmt: skip
-    _clean(axes)
+    clean(axes)
     return figure
 
 
@@ -83,7 +72,7 @@ def _improvements(results: Sequence[dict[str, Any]]) -> Figure:
     axes.set_xlabel("RMSE below the nominal filter's on the same episode, %: median, 95 % interval")
     if far_below:
         axes.set_title("-100 % stands for that or worse", loc="left", fontsize=9)
-    _clean(axes)
+    clean(axes)
     return figure
 
 
@@ -104,12 +93,12 @@ def _episode(contest: Contest, results: Sequence[dict[str, Any]], output: Path) 
         style = {"color": _colour(result, results), "lw": 1.3, "label": result["agent"]}
         top.plot(time, scores.error[:, 0], **style)
         bottom.plot(time, scores.factors[:, 0, 2:].prod(axis=1) ** (1.0 / 3.0), **style)
-    _shade(top, recording.faults[0])
-    _shade(bottom, recording.faults[0], labelled=False)
+    shade(top, recording.faults[0])
+    shade(bottom, recording.faults[0], labelled=False)
     for axes, label in ((top, "position error, m"), (bottom, "noise factor\n(mean of groups)")):
         axes.set_yscale("log")
         axes.set_ylabel(label)
-        _clean(axes)
+        clean(axes)
     top.set_ylim(0.3, 2e4)  # beyond 10 km a track is lost
     top.set_title(f"Episode {chosen}, on which the nominal filter does as usual", loc="left")
     top.legend(frameon=False, ncols=3, fontsize=9)
@@ -122,19 +111,3 @@ def _shown(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     always = ("fixed", "fixed-tuned", "clairvoyant")
     others = [r for r in _ranked(results) if r["agent"] not in always][:3]
     return [r for r in results if r["agent"] in always] + others
-
-
-def _shade(axes: Axes, faults: Sequence[Any], labelled: bool = True) -> None:
-    seen: set[str] = set()
-    for fault in faults:
-        if fault.label not in SHADES:
-            continue
-        label = fault.label if labelled and fault.label not in seen else None
-        seen.add(fault.label)
-        axes.axvspan(fault.start, fault.stop, color=SHADES[fault.label], alpha=0.15, lw=0,
-                     label=label)  # fmt: skip
-
-
-def _clean(axes: Axes) -> None:
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(alpha=0.25)

@@ -8,16 +8,20 @@ import gymnasium
 
 __version__ = "0.1.0"
 
-ENVIRONMENTS = ("kfenv/RadarTracking-v0", "kfenv/RadarValidation-v0")
+_MODULES = {
+    "kfenv/RadarTracking-v0": "kfenv.envs.radar",
+    "kfenv/RadarValidation-v0": "kfenv.envs.radar",
+}
+ENVIRONMENTS = tuple(_MODULES)
 
 
 def _register() -> None:
-    for env_id in ENVIRONMENTS:
+    for env_id, module in _MODULES.items():
         name = env_id.removeprefix("kfenv/").removesuffix("-v0")
         gymnasium.register(
             env_id,
-            entry_point=f"kfenv.envs.radar:{name}Env",
-            vector_entry_point=f"kfenv.envs.radar:{name}VectorEnv",
+            entry_point=f"{module}:{name}Env",
+            vector_entry_point=f"{module}:{name}VectorEnv",
         )
 
 

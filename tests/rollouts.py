@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from typing import NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -14,23 +15,55 @@ from kfenv.scenarios.recording import Recording
 
 every_environment = pytest.mark.parametrize("env_id", kfenv.ENVIRONMENTS)
 
-# Every fault of both scenarios, short and mild enough for short episodes.
+TRACKING, VALIDATION = "kfenv/RadarTracking-v0", "kfenv/RadarValidation-v0"
+
+# Faults of every scenario, short and mild enough for short episodes.
 FAULTS = {
     "jamming": {"bursts": [1, 2], "duration": [0.5, 1.5], "factor": [2.0, 6.0]},
     "signal_loss": {"duration": [0.3, 0.8]},
     "glint": {"factor": 4.0},
     "noise_misreport": {"factor": [0.7, 1.4]},
 }
-SHORT = {"duration": 4.0, "faults": FAULTS}  # 41 decisions at 10 Hz
+
+
+class Peculiar(NamedTuple):
+    """What the tests must know of one environment beyond what it says itself.
+
+    Attributes:
+        early_loss: a loss distance at which some short episodes are lost and some not, m.
+        default_faults: the environment's own choice.
+        faults: spoil its short episodes.
+    """
+
+    early_loss: float
+    default_faults: str = "random"
+    faults: dict = FAULTS
+
+
+PECULIAR = {
+    TRACKING: Peculiar(90.0),
+    VALIDATION: Peculiar(800.0, "none"),
+}
+assert set(PECULIAR) == set(kfenv.ENVIRONMENTS)
+
+
+def short(env_id: str) -> dict:
+    """Arguments for episodes of 41 decisions at 10 Hz, with faults."""
+    return {"duration": 4.0, "rate": 10.0, "faults": PECULIAR[env_id].faults}
 
 
 def make(env_id: str, **keywords) -> gym.Env:
     """The bare environment, of short episodes unless told otherwise."""
-    return gym.make(env_id, **(SHORT | keywords)).unwrapped
+    return gym.make(env_id, **(short(env_id) | keywords)).unwrapped
 
 
 def make_vec(env_id: str, num_envs: int, **keywords) -> gym.vector.VectorEnv:
-    return gym.make_vec(env_id, num_envs=num_envs, **(SHORT | keywords))
+    return gym.make_vec(env_id, num_envs=num_envs, **(short(env_id) | keywords))
+
+
+def zeros(env: gym.Env | gym.vector.VectorEnv, *count: int) -> np.ndarray:
+    """Nominal actions for it, as many as told."""
+    return np.zeros((*count, *env.action_space.shape))
 
 
 def draw(env_id: str, seeds, **keywords) -> Recording:

@@ -5,14 +5,12 @@ import dataclasses
 import gymnasium as gym
 import numpy as np
 import pytest
-from rollouts import change, draw, every_environment, make, make_vec
+from rollouts import TRACKING, VALIDATION, change, draw, every_environment, make, make_vec, zeros
 
-import kfenv
 from kfenv.scenarios.faults import Glint, Jamming, NoiseMisreport, SignalLoss
 from kfenv.scenarios.radar import Rain, SelfScreeningJammer
 from kfenv.scenarios.recording import Recording, stack
 
-TRACKING, VALIDATION = kfenv.ENVIRONMENTS
 NAN, INFINITE = float("nan"), float("inf")
 
 
@@ -50,7 +48,6 @@ WRONG = [  # keyword argument of every environment, what must be said of it
     ({"decision_interval": 0}, "decision_interval"),
     ({"decision_interval": 1.5}, "1.5"),
     ({"recording": np.zeros((1, 4, 3))}, "ndarray"),
-    ({"radar_position": (0.0, 0.0, 0.0)}, "give a track too"),
     ({"faults": "randm"}, "'randm'. Did you mean 'random'"),
     ({"faults": None}, "None"),
     ({"faults": Jamming()}, "list of fault objects"),
@@ -82,6 +79,9 @@ def test_zero_negative_or_misshapen_noise(deviation):
 
 
 def test_what_only_one_scenario_refuses():
+    for env_id in (TRACKING, VALIDATION):
+        said = complaint(ValueError, gym.make, env_id, radar_position=(0.0, 0.0, 0.0))
+        assert "give a track too" in said
     assert "published for 5 Hz" in complaint(ValueError, gym.make, VALIDATION, rate=5.0)
     assert "600 s" in complaint(ValueError, gym.make, TRACKING, duration=601.0)
     assert "'noise_deviation'" in complaint(TypeError, gym.make, TRACKING, noise_deviation=1)
@@ -133,26 +133,27 @@ def test_a_fault_that_makes_noise_negative_is_found(env_id):
 def test_actions(env_id):
     env, vector = make(env_id), make_vec(env_id, 2)
     env.reset(seed=0), vector.reset(seed=0)
-    said = complaint(ValueError, env.step, np.zeros(4))
-    assert "(4,)" in said and "(5,)" in said
+    (knobs,) = env.action_space.shape
+    said = complaint(ValueError, env.step, np.zeros(knobs - 1))
+    assert f"({knobs - 1},)" in said and f"({knobs},)" in said
     assert "shape ()" in complaint(ValueError, env.step, 0.0)
-    assert "(5,)" in complaint(ValueError, vector.step, np.zeros(5))
-    for environment, shape in ((env, (5,)), (vector, (2, 5))):
-        action = np.zeros(shape)
+    assert f"({knobs},)" in complaint(ValueError, vector.step, np.zeros(knobs))
+    for environment in (env, vector):
+        action = zeros(environment)
         action.flat[-1] = NAN
         assert "NaN" in complaint(ValueError, environment.step, action)
-        environment.step(np.zeros(shape))  # unharmed
+        environment.step(zeros(environment))  # unharmed
 
 
 @every_environment
 @pytest.mark.parametrize("mode", ["next_step", "same_step", "disabled"])
 def test_step_before_reset(env_id, mode):
-    assert "reset()" in complaint(RuntimeError, make(env_id).step, np.zeros(5))
-    vector = make_vec(env_id, 3, autoreset_mode=mode)
-    said = complaint(RuntimeError, vector.step, np.zeros((3, 5)))
+    env, vector = make(env_id), make_vec(env_id, 3, autoreset_mode=mode)
+    assert "reset()" in complaint(RuntimeError, env.step, zeros(env))
+    said = complaint(RuntimeError, vector.step, zeros(vector))
     assert "3 sub-environments" in said and "reset()" in said
     vector.reset(options={"reset_mask": np.array([True, False, True])})
-    assert "1 sub-environments" in complaint(RuntimeError, vector.step, np.zeros((3, 5)))
+    assert "1 sub-environments" in complaint(RuntimeError, vector.step, zeros(vector))
 
 
 @every_environment
@@ -161,9 +162,9 @@ def test_step_after_the_end(env_id):
                                                        autoreset_mode="disabled")  # fmt: skip
     env.reset(seed=0), vector.reset(seed=0)
     for _ in range(3):
-        env.step(np.zeros(5)), vector.step(np.zeros((2, 5)))
-    assert "reset()" in complaint(RuntimeError, env.step, np.zeros(5))
-    assert "reset_mask" in complaint(RuntimeError, vector.step, np.zeros((2, 5)))
+        env.step(zeros(env)), vector.step(zeros(vector))
+    assert "reset()" in complaint(RuntimeError, env.step, zeros(env))
+    assert "reset_mask" in complaint(RuntimeError, vector.step, zeros(vector))
 
 
 @every_environment
@@ -236,11 +237,13 @@ def test_shapes_of_a_recording(name, shape):
 @every_environment
 def test_a_recording_of_another_scenario(env_id):
     recording = draw(env_id, [0])
-    two = dataclasses.replace(recording, measurement=recording.measurement[..., :2],
-                              noise=recording.noise[..., :2], true_noise=None)  # fmt: skip
-    assert "2 channels" in complaint(ValueError, gym.make, env_id, recording=two)
-    more = change(recording, motion_inputs=np.zeros((1, len(recording.time), 2)))
-    assert "2 motion inputs" in complaint(ValueError, gym.make, env_id, recording=more)
+    fewer = dataclasses.replace(recording, measurement=recording.measurement[..., :-1],
+                                noise=recording.noise[..., :-1], true_noise=None)  # fmt: skip
+    channels = recording.measurement.shape[2] - 1
+    assert f"{channels} channels" in complaint(ValueError, gym.make, env_id, recording=fewer)
+    inputs = recording.motion_inputs.shape[2] + 2
+    more = change(recording, motion_inputs=np.zeros((1, len(recording.time), inputs)))
+    assert f"{inputs} motion inputs" in complaint(ValueError, gym.make, env_id, recording=more)
 
 
 def test_recordings_that_cannot_be_stacked():

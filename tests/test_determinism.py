@@ -7,9 +7,10 @@ from itertools import islice
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.registration import load_env_creator
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from rollouts import (
-    SHORT,
+    PECULIAR,
     assert_same,
     change,
     draw,
@@ -18,10 +19,9 @@ from rollouts import (
     make_vec,
     play,
     random_actions,
+    short,
+    zeros,
 )
-
-from kfenv.scenarios.radar_tracking import RadarTracking
-from kfenv.scenarios.radar_validation import RadarValidation
 
 SETTINGS = {
     "defaults": {},
@@ -38,8 +38,9 @@ every_mode = pytest.mark.parametrize("mode", list(AutoresetMode), ids=lambda mod
 @pytest.fixture(autouse=True)
 def tracks_are_lost_early(monkeypatch):
     """Episodes then end at different times, some terminated and some truncated."""
-    monkeypatch.setattr(RadarTracking, "lost_distance", 90.0)
-    monkeypatch.setattr(RadarValidation, "lost_distance", 800.0)
+    for env_id, peculiar in PECULIAR.items():
+        environment = load_env_creator(gym.spec(env_id).entry_point)
+        monkeypatch.setattr(environment.scenario_class, "lost_distance", peculiar.early_loss)
 
 
 @every_environment
@@ -136,7 +137,7 @@ def test_a_list_of_seeds_and_a_mask_reach_their_sub_environments(env_id):
 @every_setting
 @pytest.mark.parametrize("copy", [deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 def test_a_copy_goes_on_like_the_original(env_id, setting, copy):
-    original = gym.make(env_id, **(SHORT | SETTINGS[setting]))
+    original = gym.make(env_id, **(short(env_id) | SETTINGS[setting]))
     actions = iter(random_actions(original.action_space.shape, 60))
     original.reset(seed=1)
     for action in islice(actions, 2):
@@ -187,8 +188,9 @@ def test_a_failed_filter_tells_the_same_nothing_every_time(env_id):
         measurement[0, 1] = 1e300
 
     recording = change(draw(env_id, [0], faults="none"), measurement=spoil)
-    actions = np.zeros((9, 5))
-    first = play(make(env_id, recording=recording), actions)
+    env = make(env_id, recording=recording)
+    actions = zeros(env, 9)
+    first = play(env, actions)
     assert first[-1][2] and len(first) in (3, 4)
     assert np.isnan(first[-1][4]["estimate"]).all() and np.isnan(first[-1][4]["nis"])
     assert not first[-1][0].any()

@@ -6,18 +6,25 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils import seeding
-from rollouts import assert_same_recording, draw, every_environment, make, play
+from rollouts import (
+    PECULIAR,
+    TRACKING,
+    VALIDATION,
+    assert_same_recording,
+    draw,
+    every_environment,
+    make,
+    play,
+    zeros,
+)
 
-import kfenv
 from kfenv.models.namespaces import batch
 from kfenv.models.phased_array import PhasedArray, rain_transmission
-from kfenv.models.radar import radar
 from kfenv.scenarios.faults import Draft, Glint, Jamming, NoiseMisreport, SignalLoss
 from kfenv.scenarios.radar import Rain, SelfScreeningJammer
 from kfenv.scenarios.trajectories import paper_trajectory
 
 TIME = np.arange(1201) / 10.0
-TRACKING, VALIDATION = kfenv.ENVIRONMENTS
 
 
 def spoilt(fault, seed=0, time=TIME) -> Draft:
@@ -113,8 +120,8 @@ def test_rain_weakens_the_echo_and_the_radar_knows():
     dry, wet = (draw(TRACKING, [0], duration=60.0, faults=faults)
                 for faults in ([], [Rain(rate=(50.0, 50.0))]))  # fmt: skip
     scenario = make(TRACKING, duration=60.0, faults=[]).scenario
-    draft = scenario.draft(wet.truth[0])
-    transmission = rain_transmission(draft.position[:, 0], 50.0)
+    draft = scenario.draft(wet.truth[0], np.random.default_rng(0))
+    transmission = rain_transmission(draft.exact[:, 0], 50.0)
     np.testing.assert_array_equal(wet.truth[0], scenario.trajectory(seeding.np_random(0)[0]))
     np.testing.assert_array_equal(wet.true_noise, wet.noise)
     np.testing.assert_allclose(wet.noise[0], scenario.noise(draft, draft.snr * transmission))
@@ -128,8 +135,8 @@ def test_the_self_screening_jammer_drowns_the_echo(known):
     jammed, clear = (draw(TRACKING, [0], duration=12.0, faults=faults) for faults in ([fault], []))
     during = (jammed.time >= 5.0) & (jammed.time < 8.0)
     scenario = make(TRACKING, duration=12.0).scenario
-    draft = scenario.draft(jammed.truth[0])
-    rise = 1.0 + PhasedArray().jammer_to_noise(draft.position[:, 0])
+    draft = scenario.draft(jammed.truth[0], np.random.default_rng(0))
+    rise = 1.0 + PhasedArray().jammer_to_noise(draft.exact[:, 0])
     expected = scenario.noise(draft, draft.snr / rise)[during]
     np.testing.assert_allclose(jammed.true_noise[0, during], expected)
     assert (jammed.true_noise[0, during] > 2.0 * clear.true_noise[0, during]).all()
@@ -165,9 +172,12 @@ def test_measurements_carry_the_true_noise_and_the_filter_is_told_its_own(env_id
     np.testing.assert_allclose(recording.noise, 2.0 * clean.noise)
     np.testing.assert_allclose(recording.true_noise[:, jammed], 3.0 * clean.noise[:, jammed])
     np.testing.assert_allclose(recording.true_noise[:, ~jammed], clean.noise[:, ~jammed])
-    position = np.stack(radar().build(batch)(tuple(np.moveaxis(recording.truth, -1, 0)), ()), -1)
-    off = recording.measurement - position
-    off[..., 1:] = np.angle(np.exp(1j * off[..., 1:]))
+    sensor = make(env_id).scenario.sensor
+    state, inputs = (tuple(np.moveaxis(array, -1, 0))
+                     for array in (recording.truth, recording.sensor_inputs))  # fmt: skip
+    off = recording.measurement - np.stack(sensor.build(batch)(state, inputs), axis=-1)
+    angles = [i for i, channel in enumerate(sensor.channels) if channel.angle]
+    off[..., angles] = np.angle(np.exp(1j * off[..., angles]))
     normal = off / recording.true_noise
     for instants in (jammed, ~jammed & ~lost):
         np.testing.assert_allclose(np.std(normal[:, instants], axis=(0, 1)), 1.0, atol=0.06)
@@ -191,10 +201,11 @@ def test_presets(env_id):
     assert draw(env_id, [0], faults="none").faults == ((),)
     drawn = draw(env_id, range(20), duration=120.0, faults="random")
     labels = {label for intervals in drawn.faults for label, *_ in intervals}
-    weather = {"rain"} if env_id == TRACKING else set()
-    assert labels == weather | {"jamming", "signal loss", "glint", "misreported noise"}
     scenario = gym.make(env_id).unwrapped.scenario
-    assert scenario.faults == ("random" if env_id == TRACKING else "none")
+    assert labels == {fault.label for fault in scenario.presets["random"]}
+    assert labels >= {"jamming", "signal loss", "glint", "misreported noise"}
+    assert ("rain" in labels) == (env_id == TRACKING)
+    assert scenario.faults == PECULIAR[env_id].default_faults
 
 
 def test_the_published_case_is_flown_whole():
@@ -229,8 +240,8 @@ class Blinking:
 
 @every_environment
 def test_a_fault_of_ones_own_works_through_gym_make(env_id):
-    env = gym.make(env_id, duration=4.0, faults=[Blinking(), NoiseMisreport()])
-    heard = play(env, np.zeros((41, 5)), seed=0)
+    env = make(env_id, faults=[Blinking(), NoiseMisreport()])
+    heard = play(env, zeros(env, 41), seed=0)
     assert heard[-1][3]
     pending = [~np.isnan(step[-1]["innovation"]).any() for step in heard[:-1]]
     assert pending == [k % 2 == 0 for k in range(41)]

@@ -5,6 +5,7 @@ import inspect
 import re
 
 import gymnasium as gym
+import numpy as np
 import pytest
 from gymnasium.envs.registration import load_env_creator
 from rollouts import every_environment, make
@@ -47,7 +48,9 @@ def test_the_tables_are_those_of_the_spaces(env_id):
     ]
     table = re.findall(r"^\| (\d[\d, to]*?) +\|", section(env_id, "Observation Space"), re.M)
     places = [int(place) for cell in table for place in cell.split(", ") if "to" not in cell]
-    assert sorted(places) == list(range(24)) and table[-1] == f"24 to {core.observation_size - 1}"
+    size, knobs = core.observation_size, len(core.knobs)
+    assert sorted(places) == list(range(size - knobs))
+    assert table[-1] == f"{size - knobs} to {size - 1}"
 
 
 @every_environment
@@ -55,8 +58,9 @@ def test_figures(env_id):
     scenario = gym.make(env_id).unwrapped.scenario
     assert f"error scale is {scenario.error_scale:g} m" in page(env_id)
     assert f"({len(scenario.time)} by default)" in page(env_id)
-    for deviation, unit in zip(scenario.initial_deviation, ("m", "m/s", "m/s^2"), strict=True):
-        assert f"{deviation:g} {unit}" in section(env_id, "Starting State")
+    for deviation, state in zip(scenario.initial_deviations, scenario.motion.states, strict=True):
+        told, unit = (np.degrees(deviation), "deg") if state.angle else (deviation, state.unit)
+        assert f"{told:.3g} {unit}" in section(env_id, "Starting State")
     for name in scenario.presets:
         assert f'``"{name}"``' in section(env_id, "Arguments")
     for name in scenario.known_faults:

@@ -32,6 +32,8 @@ class Draft:
         noise_factor: (T, m) multiplies the noise that is drawn.
         told_factor: (T, m) multiplies the noise that the filter is told.
         available: (T, m) whether the channel arrives.
+        exact: (T, m) the measurements without noise; a fault may add errors of its own.
+        motion_inputs, sensor_inputs: (T, p), (T, k) the inputs as the filter is told them.
         intervals: what happened when.
     """
 
@@ -39,13 +41,17 @@ class Draft:
     noise_factor: Array
     told_factor: Array
     available: NDArray[np.bool_]
+    exact: Array
+    motion_inputs: Array
+    sensor_inputs: Array
     intervals: list[FaultInterval] = field(default_factory=list)
 
     @classmethod
     def clean(cls, time: Array, channels: int, **more: object) -> Draft:
-        """An episode without faults."""
-        shape = (len(time), channels)
-        return cls(time, np.ones(shape), np.ones(shape), np.ones(shape, bool), **more)
+        """An episode without faults; measurements of zero and no inputs unless given."""
+        shape, none = (len(time), channels), np.empty((len(time), 0))
+        given = {"exact": np.zeros(shape), "motion_inputs": none, "sensor_inputs": none} | more
+        return cls(time, np.ones(shape), np.ones(shape), np.ones(shape, bool), **given)
 
     def window(self, label: str, start: float, duration: float) -> slice:
         """Label the interval, as far as it lies in the episode, and return its time indices."""

@@ -73,10 +73,10 @@ class RadarTracking(RadarScenario):
             return paper_trajectory("B", self.time)
         return random_trajectory(rng, self.time)
 
-    def draft(self, truth: Array) -> RadarDraft:
+    def draft(self, truth: Array, rng: Generator) -> RadarDraft:
         """The clean episode: S/N from the radar equation, nothing beyond the scan limit."""
-        draft = super().draft(truth)
-        distance, azimuth, elevation = draft.position.T
+        draft = super().draft(truth, rng)
+        distance, azimuth, elevation = draft.exact.T
         draft.snr = self.radar.signal_to_noise(distance, azimuth, elevation)
         draft.told_snr = draft.snr.copy()
         draft.available &= self.radar.detects(azimuth, elevation)[:, None]
@@ -84,7 +84,7 @@ class RadarTracking(RadarScenario):
 
     def noise(self, draft: RadarDraft, snr: Array) -> Array:
         """From the integrated S/N."""
-        _, azimuth, elevation = draft.position.T
+        _, azimuth, elevation = draft.exact.T
         limit = self.radar.max_scan  # beyond it nothing arrives: any finite value will do
         azimuth = np.clip(azimuth, self.radar.boresight_azimuth - limit,
                           self.radar.boresight_azimuth + limit)  # fmt: skip

@@ -1,0 +1,90 @@
+"""Published claims: what was printed, what was measured, and whether it holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from ..files import write_json, written_whole
+
+Array = NDArray[np.float64]
+
+HOLDS = "holds"
+OTHER_REASON = "holds for another reason"
+FAILS = "does not hold"
+VERDICTS = (HOLDS, OTHER_REASON, FAILS)
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One row of a claims table.
+
+    Attributes:
+        name: as in the specification, with the experiment, e.g. ``"C3 (E1)"``.
+        statement: the claim in a few words.
+        printed: paper and place; S0 De Vivo et al. 2017, S1 De Vivo et al. 2016,
+            S3 Lazarov et al., S4 Benzerrouk et al. 2014.
+        measured: the numbers with their spread.
+        verdict: one of `VERDICTS`, decided by the numbers.
+    """
+
+    name: str
+    statement: str
+    printed: str
+    measured: str
+    verdict: str
+
+    def __post_init__(self) -> None:
+        if self.verdict not in VERDICTS:
+            raise ValueError(f"verdict must be one of {', '.join(VERDICTS)}; got {self.verdict!r}.")
+
+
+def judge(holds: bool, reason_holds: bool = True) -> str:
+    """The verdict on a claim and on the reason that was given for it."""
+    if not holds:
+        return FAILS
+    return HOLDS if reason_holds else OTHER_REASON
+
+
+def write_claims(claims: Sequence[Claim], folder: Path) -> None:
+    """Write ``claims.json`` and ``claims.md``."""
+    write_json(folder / "claims.json", [asdict(claim) for claim in claims])
+    header = ("claim", "printed in", "measured", "verdict")
+    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+    for claim in claims:
+        cells = (f"{claim.name}: {claim.statement}", claim.printed, claim.measured, claim.verdict)
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    with written_whole(folder / "claims.md") as file:
+        file.write(("\n".join(lines) + "\n").encode())
+
+
+def claims_table(claims: Sequence[Claim]) -> Table:
+    """The claims for the terminal."""
+    table = Table("claim", "printed in", "measured", "verdict", box=SIMPLE_HEAD, show_lines=True)
+    colours = {HOLDS: "green", OTHER_REASON: "yellow", FAILS: "red"}
+    for claim in claims:
+        verdict = f"[{colours[claim.verdict]}]{claim.verdict}[/]"
+        table.add_row(f"{claim.name}: {claim.statement}", claim.printed, claim.measured, verdict)
+    return table
+
+
+def mean_and_interval(values: Array) -> tuple[float, float, float]:
+    """Mean of independent values and the ends of its 95 % interval (Student's t)."""
+    from scipy.stats import t
+
+    values = values[np.isfinite(values)]
+    if len(values) < 2:
+        return float("nan"), float("nan"), float("nan")
+    half = t.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
+    return float(values.mean()), float(values.mean() - half), float(values.mean() + half)
+
+
+def with_interval(values: Array, unit: str = "m") -> str:
+    """Mean with its 95 % interval, for a table."""
+    return "{:.3g} ({:.3g} to {:.3g}) {}".format(*mean_and_interval(values), unit)

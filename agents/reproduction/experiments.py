@@ -1,0 +1,88 @@
+"""The experiments by name, and how some of them are run: `kfenv reproduce`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from rich.progress import Progress
+
+from kfenv.names import unknown
+
+from . import radar_validation
+from .claims import Claim, write_claims
+from .laboratory import Laboratory
+
+
+class Experiment(NamedTuple):
+    """An experiment of SPEC 7.1.
+
+    Attributes:
+        title: what it is.
+        runs: how many it makes unless told; the papers' number where they tell it.
+        reproduce: writes the figures and returns the claims.
+    """
+
+    title: str
+    runs: int
+    reproduce: Callable[[Laboratory], list[Claim]]
+
+
+EXPERIMENTS: dict[str, Experiment] = {
+    "E1": Experiment("radar at 10 Hz, constant noise (S1 sec. 4)", 500, radar_validation.at_10_hz),
+    "E2": Experiment("radar at 2 Hz, constant noise (S0 sec. 4)", 500, radar_validation.at_2_hz),
+}
+
+
+def chosen_experiments(name: str) -> tuple[str, ...]:
+    """The experiment of that name, or every one for ``"all"``.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    if name == "all":
+        return tuple(EXPERIMENTS)
+    if name not in EXPERIMENTS:
+        raise ValueError(unknown("experiment", name, (*EXPERIMENTS, "all")))
+    return (name,)
+
+
+def reproduce(
+    names: Sequence[str],
+    output: Path,
+    runs: int | None,
+    seed: int,
+    processes: int,
+    resume: bool,
+    progress: Progress,
+) -> list[Claim]:
+    """Run experiments: figures and claims into a folder for each, all claims into `output`.
+
+    Args:
+        names: of the experiments.
+        runs: in place of each experiment's own number.
+        resume: take finished runs from the folder.
+
+    Raises:
+        FileExistsError: if the folder holds anything and `resume` is not set.
+        ValueError: if there are too few runs to tell a spread.
+    """
+    if runs is not None and runs < 2:
+        raise ValueError(f"runs must be at least 2, since spreads are told, got {runs}.")
+    if output.exists() and any(output.iterdir()) and not resume:
+        raise FileExistsError(
+            f"The folder {output} is not empty: name another with --output, or go on with --resume."
+        )
+    claims: list[Claim] = []
+    for name in names:
+        experiment = EXPERIMENTS[name]
+        folder = output / name
+        folder.mkdir(parents=True, exist_ok=True)
+        found = experiment.reproduce(
+            Laboratory(folder, runs or experiment.runs, seed, processes, progress)
+        )
+        write_claims(found, folder)
+        claims += found
+    write_claims(claims, output)
+    return claims

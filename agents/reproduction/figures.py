@@ -1,0 +1,148 @@
+"""The papers' kinds of figure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from ..plotting import COLOURS, clean
+from .monte_carlo import Outcome
+
+Array = NDArray[np.float64]
+
+AXES = ("x, east", "y, north", "z, up")
+
+
+def track(
+    time: Array, truth: Array, measured: Array | None, estimates: Mapping[str, Array]
+) -> Figure:
+    """One run from above and its height against time: truth, measurements and estimates.
+
+    Args:
+        time: (T,), s.
+        truth: (T, 3) positions, m.
+        measured: (T, 3), NaN where nothing arrived; None where the sensor measures no position.
+        estimates: (T, 3) by label.
+    """
+    figure = Figure((10.0, 4.8), layout="constrained")
+    above, height = figure.subplots(1, 2)
+    for axes, x_of, y in ((above, lambda p: p[:, 0] / 1e3, 1), (height, lambda p: time, 2)):
+        if measured is not None:
+            axes.plot(x_of(measured), measured[:, y] / 1e3, ".", color="#bbbbbb", ms=2,
+                      label="measured")  # fmt: skip
+        axes.plot(x_of(truth), truth[:, y] / 1e3, color="black", lw=2.5, label="truth")
+        for colour, (label, path) in zip(COLOURS[1:], estimates.items(), strict=False):
+            axes.plot(x_of(path), path[:, y] / 1e3, color=colour, lw=1.2, label=label)
+        clean(axes)
+    low, high = truth.min(axis=0) / 1e3, truth.max(axis=0) / 1e3
+    margin = 0.25 * (high - low) + 0.01
+    above.set_xlim(low[0] - margin[0], high[0] + margin[0])
+    above.set_ylim(low[1] - margin[1], high[1] + margin[1])
+    height.set_ylim(low[2] - 2.0 * margin[2], high[2] + 2.0 * margin[2])
+    above.set(xlabel="east, km", ylabel="north, km")
+    height.set(xlabel="time, s", ylabel="height, km")
+    above.legend(frameon=False, fontsize=9)
+    return figure
+
+
+def rmse(time: Array, outcomes: Mapping[str, Outcome], bound: Array | None = None) -> Figure:
+    """Position RMSE over the runs that kept the track, per axis against time.
+
+    Args:
+        time: (K,), s.
+        bound: (K, 3) posterior Cramer-Rao bound, m.
+    """
+    figure = Figure((9.0, 7.5), layout="constrained")
+    panels = figure.subplots(3, sharex=True)
+    for axis, axes in enumerate(panels):
+        for style, (label, outcome) in enumerate(outcomes.items()):
+            kept = outcome.position_error[~outcome.lost, :, axis]
+            if len(kept):
+                axes.plot(time, np.sqrt(np.mean(kept**2, axis=0)), color=COLOURS[style], lw=1.4,
+                          ls=("-", "--", ":", "-.")[style % 4], label=label)  # fmt: skip
+        if bound is not None:
+            axes.plot(time, bound[:, axis], color="#777777", lw=3, alpha=0.5,
+                      label="posterior Cramér-Rao bound")  # fmt: skip
+        axes.set_yscale("log")
+        axes.set_ylabel(f"RMSE of {AXES[axis]}, m")
+        clean(axes)
+    panels[-1].set_xlabel("time, s")
+    figure.legend(*panels[0].get_legend_handles_labels(), frameon=False, ncols=4, fontsize=9,
+                  loc="outside upper center")  # fmt: skip
+    return figure
+
+
+def rmse_difference(time: Array, first: Outcome, second: Outcome, title: str) -> Figure:
+    """RMSE of one filter less another's on the same noise, with a 95 % interval.
+
+    The interval is the delta method's on paired squared errors.
+    """
+    figure = Figure((9.0, 6.5), layout="constrained")
+    panels = figure.subplots(3, sharex=True)
+    both = ~(first.lost | second.lost)
+    for axis, axes in enumerate(panels):
+        squares = [o.position_error[both, :, axis] ** 2 for o in (first, second)]
+        roots = [np.sqrt(np.mean(square, axis=0)) for square in squares]
+        influence = squares[0] / (2.0 * roots[0]) - squares[1] / (2.0 * roots[1])
+        half = 1.96 * influence.std(axis=0, ddof=1) / np.sqrt(len(influence))
+        difference = roots[0] - roots[1]
+        axes.fill_between(time, difference - half, difference + half, color=COLOURS[2], alpha=0.4,
+                          lw=0, label="95 % interval")  # fmt: skip
+        axes.plot(time, difference, color=COLOURS[4], lw=1.2, label="difference")
+        axes.axhline(0.0, color="black", lw=0.8)
+        axes.set_ylabel(f"{AXES[axis]}, m")
+        clean(axes)
+    panels[0].set_title(title, loc="left")
+    panels[0].legend(frameon=False, ncols=2, fontsize=9)
+    panels[-1].set_xlabel("time, s")
+    return figure
+
+
+def condition(time: Array, outcomes: Mapping[str, Outcome]) -> Figure:
+    """Condition numbers: of P, and of the factor S with its square beside it.
+
+    Lines are medians over the runs, thin ones the worst run.
+    """
+    figure = Figure((10.0, 5.2), layout="constrained")
+    left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+    for style, (label, outcome) in enumerate(outcomes.items()):
+        colour = COLOURS[style]
+        _spread(left, time, outcome.condition, colour, label)
+        if np.isfinite(outcome.root_condition).any():
+            _spread(right, time, outcome.root_condition, colour, f"{label}: κ(S)")
+            squared = np.nanmedian(outcome.root_condition**2, axis=0)
+            right.plot(time, squared, color=colour, lw=3.5, alpha=0.3, label=f"{label}: κ(S)²")
+    left.set_title("κ(P) of the covariance: median, thin the worst run", loc="left", fontsize=10)
+    right.set_title("κ(S) of the square root, and its square", loc="left", fontsize=10)
+    for axes in (left, right):
+        axes.set_yscale("log")
+        axes.set_xlabel("time, s")
+        axes.legend(frameon=False, fontsize=8, loc="upper left")
+        clean(axes)
+    return figure
+
+
+def _spread(axes, time: Array, values: Array, colour: str, label: str) -> None:
+    seen = np.isfinite(values).any(axis=0)
+    median, worst = (f(values[:, seen], axis=0) for f in (np.nanmedian, np.nanmax))
+    axes.plot(time[seen], median, color=colour, lw=1.4, label=label)
+    axes.plot(time[seen], worst, color=colour, lw=0.5)
+
+
+def accelerations(time: Array, truth: Array, estimates: Mapping[str, Array]) -> Figure:
+    """True and estimated accelerations of one run, (T, 3), m/s^2."""
+    figure = Figure((9.0, 6.5), layout="constrained")
+    panels = figure.subplots(3, sharex=True)
+    for axis, axes in enumerate(panels):
+        axes.plot(time, truth[:, axis], color="black", lw=2.2, label="truth")
+        for style, (label, path) in enumerate(estimates.items()):
+            axes.plot(time, path[:, axis], color=COLOURS[1 + style], lw=1.1, label=label,
+                      ls=("-", "--", ":")[style % 3])  # fmt: skip
+        axes.set_ylabel(f"{AXES[axis]}, m/s²")
+        clean(axes)
+    panels[0].legend(frameon=False, ncols=4, fontsize=9)
+    panels[-1].set_xlabel("time, s")
+    return figure

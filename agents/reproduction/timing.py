@@ -1,0 +1,107 @@
+"""Computing time of the filters, one process, best of repeats, nothing else measured meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from kfenv.filters.engine import Engine
+from kfenv.scenarios.recording import Recording
+
+from ..plotting import COLOURS, clean
+from .monte_carlo import Method, filter_recording
+
+Array = NDArray[np.float64]
+
+INTERVALS = (0.1, 0.2, 0.25, 0.5, 1.0)  # s, the range of S1 Fig. 8
+STEPS = 150
+REPEATS = 5
+MANY = 256
+ENGINE = "engine"
+
+
+class Timing(NamedTuple):
+    """Seconds per step of one filter, by label: alone, and each in a batch of `MANY`."""
+
+    alone: dict[str, float]
+    together: dict[str, float]
+
+
+def time_filters(scenario: Any, methods: Sequence[Method], seed: int) -> Timing:
+    """Time every method, and the engine, on the first steps of a scenario."""
+    rng = np.random.default_rng(seed)
+    many = _beginning(scenario.sample([rng] * MANY))
+    one = many[[0]]
+    engine = Engine(scenario.motion, scenario.sensor)
+    alone, together = {}, {}
+    for method in methods:
+        for batch, times in ((one, alone), (many, together)):
+            times[method.label] = _best(
+                lambda m=method, b=batch: filter_recording(scenario, m, b), batch
+            )
+    for batch, times in ((one, alone), (many, together)):
+        times[ENGINE] = _best(lambda b=batch: _run_engine(engine, b), batch)
+    return Timing(alone, together)
+
+
+def _beginning(recording: Recording) -> Recording:
+    """The first steps alone, so that each repeat is short."""
+    series = ("measurement", "noise", "motion_inputs", "sensor_inputs")
+    return Recording(
+        recording.time[:STEPS],
+        **{name: getattr(recording, name)[:, :STEPS] for name in series},
+        mean=recording.mean,
+        factor=recording.factor,
+    )
+
+
+def _run_engine(engine: Engine, r: Recording) -> None:
+    ones = np.ones(len(r))
+    engine.run(
+        r.mean, r.factor, r.time, r.motion_inputs, r.sensor_inputs, r.measurement, r.noise,
+        ones, ones,
+    )  # fmt: skip
+
+
+def _best(work, recording: Recording) -> float:
+    """Least time of some repeats, per filter and step; a first one warms up."""
+    work()
+    best = np.inf
+    for _ in range(REPEATS):
+        start = perf_counter()
+        work()
+        best = min(best, perf_counter() - start)
+    return best / recording.measurement[..., 0].size
+
+
+def figure(timing: Timing, duration: float) -> Figure:
+    """Time per step, and per trajectory of `duration` against the interval between steps."""
+    drawn = Figure((11.0, 5.0), layout="constrained")
+    left, right = drawn.subplots(1, 2)
+    labels = list(timing.alone)
+    rows = np.arange(len(labels))[::-1]
+    for times, shift, colour, name in (
+        (timing.alone, 0.2, COLOURS[4], "alone"),
+        (timing.together, -0.2, COLOURS[1], f"one of a batch of {MANY}"),
+    ):
+        microseconds = [1e6 * times[label] for label in labels]
+        left.barh(rows + shift, microseconds, 0.4, color=colour, label=name)
+    left.set_yticks(rows, labels)
+    left.set_xscale("log")
+    left.set_xlabel("time per step, µs")
+    left.legend(frameon=False, fontsize=9, loc="lower right")
+    intervals = np.array(INTERVALS)
+    for style, label in enumerate(labels):
+        right.plot(intervals, timing.alone[label] * (duration / intervals + 1.0), "o-", ms=3,
+                   color=COLOURS[style % len(COLOURS)], label=label)  # fmt: skip
+    right.set(xscale="log", yscale="log", xlabel="interval between steps, s")
+    right.set_ylabel(f"time per trajectory of {duration:g} s, alone, s")
+    right.legend(frameon=False, fontsize=8)
+    for axes in (left, right):
+        clean(axes)
+    return drawn

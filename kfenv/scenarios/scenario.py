@@ -1,0 +1,178 @@
+"""What every scenario shares: arguments and their checks, faults, episodes drawn one by one."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from kfenv.checks import is_number
+from kfenv.models.model import Motion, Sensor
+from kfenv.models.namespaces import batch
+from kfenv.scenarios.faults import FAULTS, Draft, Fault, resolve_faults
+from kfenv.scenarios.recording import Recording, stack
+
+Array = NDArray[np.float64]
+
+MAX_RATE = 100.0  # Hz
+MIN_RATE = 1.0  # Hz: the motion models take steps of up to a second
+
+
+@dataclass(frozen=True)
+class TrackingScenario(ABC):
+    """A target, the sensor that sees it, and what the filter is told.
+
+    A subclass gives the class variables, `motion`, `sensor`, `trajectory` and
+    `deviations`; `draft` where faults act on more than noise and arrival. A scenario
+    whose instants have no measurement (a filter that predicts more often than it
+    updates) clears `Draft.available` there.
+
+    Attributes:
+        duration: of an episode, s.
+        rate: filter steps per second.
+        faults: what spoils an episode, see `resolve_faults`.
+        name: what it is called.
+        known_faults, presets: faults and sets of them that have names.
+        initial_deviation: of the initial estimate's position, velocity and acceleration
+            along each axis, m, m/s, m/s^2.
+        circular: channels that are angles all around and so kept within (-pi, pi].
+        error_scale: what errors are measured by in rewards and observations, m.
+        lost_distance: a greater position error is a lost track, m.
+
+    Raises:
+        ValueError: for an argument that is none, or an unknown fault.
+    """
+
+    duration: float
+    rate: float
+    faults: str | Mapping[str, Mapping[str, object]] | Sequence[Fault]
+
+    name: ClassVar[str]
+    known_faults: ClassVar[Mapping[str, type]] = FAULTS
+    presets: ClassVar[Mapping[str, tuple[Fault, ...]]] = {"none": ()}
+    initial_deviation: ClassVar[tuple[float, ...]]
+    circular: ClassVar[tuple[int, ...]] = ()
+    error_scale: ClassVar[float]
+    lost_distance: ClassVar[float] = 10_000.0  # SPEC 7.1
+
+    def __post_init__(self) -> None:
+        if not is_number(self.rate) or not MIN_RATE <= self.rate <= MAX_RATE:
+            raise ValueError(
+                f"rate must lie between {MIN_RATE:g} and {MAX_RATE:g} per second, "
+                f"got {self.rate!r}."
+            )
+        if not is_number(self.duration) or self.duration < 1.0 / self.rate:
+            raise ValueError(
+                "duration must be a number of seconds, at least one step of "
+                f"{1.0 / self.rate:g} s, got {self.duration!r}."
+            )
+        resolve_faults(self.faults, self.presets, self.known_faults)  # complains
+
+    def __reduce__(self):
+        # Without what is derived: compiled and local functions cannot be pickled.
+        return type(self), tuple(getattr(self, item.name) for item in fields(self))
+
+    @property
+    @abstractmethod
+    def motion(self) -> Motion:
+        """What the filter believes about the target's motion."""
+
+    @property
+    @abstractmethod
+    def sensor(self) -> Sensor:
+        """What is measured."""
+
+    @cached_property
+    def time(self) -> Array:
+        """The instants of an episode, s."""
+        return np.arange(round(self.duration * self.rate) + 1) / self.rate
+
+    @property
+    def dimensions(self) -> tuple[int, int]:
+        """Number of motion inputs and of sensor inputs."""
+        return len(self.motion.inputs), len(self.sensor.inputs)
+
+    @property
+    def initial_deviations(self) -> Array:
+        """Standard deviations (n,) of the initial estimate."""
+        return np.tile(self.initial_deviation, 3)
+
+    def sample(self, rngs: Sequence[Generator]) -> Recording:
+        """Draw one episode from each generator."""
+        return stack([self.episode(rng) for rng in rngs])
+
+    def episode(self, rng: Generator) -> Recording:
+        """Draw one episode: truth, faults, measurement noise, initial estimate."""
+        truth = self.trajectory(rng)
+        draft = self.draft(truth, rng)
+        self.spoil(draft, rng)
+        true_noise, told_noise = self.deviations(draft)
+        true_noise, told_noise = true_noise * draft.noise_factor, told_noise * draft.told_factor
+        measurement = draft.exact + true_noise * rng.standard_normal(true_noise.shape)
+        circular = list(self.circular)
+        angle = measurement[:, circular]
+        measurement[:, circular] = np.arctan2(np.sin(angle), np.cos(angle))
+        measurement[~draft.available] = np.nan
+        return Recording(
+            time=self.time,
+            measurement=measurement[None],
+            noise=told_noise[None],
+            mean=self.initial_mean(truth[0], rng)[None],
+            factor=np.diag(self.initial_deviations)[None],
+            motion_inputs=draft.motion_inputs[None],
+            sensor_inputs=draft.sensor_inputs[None],
+            truth=truth[None],
+            true_noise=true_noise[None],
+            faults=(tuple(draft.intervals),),
+        )
+
+    @abstractmethod
+    def trajectory(self, rng: Generator) -> Array:
+        """Truth (T, n) of one episode."""
+
+    @abstractmethod
+    def deviations(self, draft: Draft) -> tuple[Array, Array]:
+        """True and told standard deviations (T, m) of the noise, before the faults' factors."""
+
+    def draft(self, truth: Array, rng: Generator) -> Draft:
+        """The episode before its faults: exact measurements and, where there are any, inputs."""
+        return self.clean(Draft, truth)
+
+    def spoil(self, draft: Draft, rng: Generator) -> None:
+        """Apply the faults in turn."""
+        for fault in resolve_faults(self.faults, self.presets, self.known_faults):
+            fault.apply(draft, rng)
+
+    def initial_mean(self, start: Array, rng: Generator) -> Array:
+        """The initial estimate (n,), drawn about the truth (n,) at the first instant."""
+        return start + self.initial_deviations * rng.standard_normal(len(start))
+
+    def clean(
+        self, kind: type[Draft], truth: Array, motion_inputs: Array | None = None,
+        sensor_inputs: Array | None = None, **more: object,
+    ) -> Draft:  # fmt: skip
+        """A draft of that kind whose exact measurements are the sensor's of the truth (T, n).
+
+        Args:
+            kind: `Draft`, or a class derived from it that takes `more`.
+            truth: (T, n).
+            motion_inputs, sensor_inputs: (T, p), (T, k), where the models take any.
+        """
+        none = np.empty((len(self.time), 0))
+        motion_inputs = none if motion_inputs is None else motion_inputs
+        sensor_inputs = none if sensor_inputs is None else sensor_inputs
+        exact = np.stack(self._measure(tuple(truth.T), tuple(sensor_inputs.T)), axis=-1)
+        return kind.clean(
+            self.time, exact.shape[1], exact=exact, motion_inputs=motion_inputs,
+            sensor_inputs=sensor_inputs, **more,
+        )  # fmt: skip
+
+    @cached_property
+    def _measure(self):
+        return self.sensor.build(batch)
