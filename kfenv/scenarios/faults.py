@@ -33,6 +33,8 @@ class Draft:
         told_factor: (T, m) multiplies the noise that the filter is told.
         available: (T, m) whether the channel arrives.
         exact: (T, m) the measurements without noise; a fault may add errors of its own.
+        added_noise: (T, m) deviation of the random errors that faults have added to `exact`,
+            e.g. errors common to several channels; it counts as noise, constant errors do not.
         motion_inputs, sensor_inputs: (T, p), (T, k) the inputs as the filter is told them.
         intervals: what happened when.
     """
@@ -42,6 +44,7 @@ class Draft:
     told_factor: Array
     available: NDArray[np.bool_]
     exact: Array
+    added_noise: Array
     motion_inputs: Array
     sensor_inputs: Array
     intervals: list[FaultInterval] = field(default_factory=list)
@@ -50,8 +53,11 @@ class Draft:
     def clean(cls, time: Array, channels: int, **more: object) -> Draft:
         """An episode without faults; measurements of zero and no inputs unless given."""
         shape, none = (len(time), channels), np.empty((len(time), 0))
-        given = {"exact": np.zeros(shape), "motion_inputs": none, "sensor_inputs": none} | more
-        return cls(time, np.ones(shape), np.ones(shape), np.ones(shape, bool), **given)
+        given = {
+            "exact": np.zeros(shape), "added_noise": np.zeros(shape),
+            "motion_inputs": none, "sensor_inputs": none,
+        }  # fmt: skip
+        return cls(time, np.ones(shape), np.ones(shape), np.ones(shape, bool), **(given | more))
 
     def window(self, label: str, start: float, duration: float) -> slice:
         """Label the interval, as far as it lies in the episode, and return its time indices."""
@@ -107,8 +113,8 @@ class Jamming:
         raised = np.ones((len(draft.time), 1))
         for _ in range(rng.integers(self.bursts[0], self.bursts[1], endpoint=True)):
             duration = rng.uniform(*self.duration)
-            factor = _log_uniform(rng, self.factor)
-            start = _draw_start(self.start, duration, draft, rng)
+            factor = log_uniform(rng, self.factor)
+            start = draw_start(self.start, duration, draft, rng)
             burst = draft.window(self.label, start, duration)
             raised[burst] = np.maximum(raised[burst], factor)
         draft.noise_factor *= raised
@@ -133,7 +139,7 @@ class SignalLoss:
 
     def apply(self, draft: Draft, rng: Generator) -> None:
         duration = rng.uniform(*self.duration)
-        start = _draw_start(self.start, duration, draft, rng)
+        start = draw_start(self.start, duration, draft, rng)
         draft.available[draft.window(self.label, start, duration)] = False
 
 
@@ -282,11 +288,13 @@ def check_start(fault: object) -> None:
         )
 
 
-def _log_uniform(rng: Generator, bounds: Range) -> float:
+def log_uniform(rng: Generator, bounds: Range) -> float:
+    """A number between the bounds, its logarithm uniform."""
     return float(np.exp(rng.uniform(np.log(bounds[0]), np.log(bounds[1]))))
 
 
-def _draw_start(start: float | None, duration: float, draft: Draft, rng: Generator) -> float:
+def draw_start(start: float | None, duration: float, draft: Draft, rng: Generator) -> float:
+    """The start given, or one at random that leaves room for the duration; draws either way."""
     first, last = draft.time[0], draft.time[-1]
     drawn = rng.uniform(first, max(last - duration, first))
     return drawn if start is None else start
