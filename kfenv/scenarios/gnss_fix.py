@@ -26,6 +26,7 @@ L1 = 1575.42e6  # Hz
 MASK = np.radians(10.0)  # elevation below which a satellite is not used
 UNMODELLED = 0.5  # share of the ionosphere's delay that the broadcast model leaves, 1 sigma
 STEPS, ROUGH_STEPS = 8, 4  # of Gauss and Newton; the first ones do without delays and weights
+FARTHEST, SETTLED = 1e8, 1.0  # m: places and last steps beyond are no solutions
 SINGULAR = 1e-4  # least entry on the diagonal of a geometry's factor, per weight
 
 
@@ -155,7 +156,6 @@ def fix(signals: Signals) -> Fixes:
     Doppler, each weighted by the error budget. An epoch needs four satellites above 10 deg.
     """
     receiver, bias = np.zeros((len(signals.time), 3)), np.zeros(len(signals.time))
-    covariance = np.empty((len(signals.time), 4, 4))
     for step in range(STEPS):
         if step < ROUGH_STEPS:
             flight, distance = _flight(signals, receiver)
@@ -170,6 +170,9 @@ def fix(signals: Signals) -> Fixes:
             _directions(position, receiver), pseudorange - distance - bias[:, None], weight
         )
         receiver, bias = receiver + change[:, :3], bias + change[:, 3]
+        receiver[~(np.abs(receiver).max(axis=1) < FARTHEST)] = np.nan
+    unsettled = ~(np.abs(change).max(axis=1) < SETTLED)
+    receiver[unsettled], bias[unsettled], covariance[unsettled] = np.nan, np.nan, np.nan
     rates, rate_covariance = _rates(signals, receiver)
     return Fixes(receiver, bias, covariance, rates[:, :3], rates[:, 3], rate_covariance)
 

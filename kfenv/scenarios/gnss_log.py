@@ -23,6 +23,7 @@ from kfenv.scenarios.ephemeris import read_navigation
 from kfenv.scenarios.gnss_fix import Fixes, Signals, View, clock_bias, fix, signals, view
 from kfenv.scenarios.recording import Recording
 from kfenv.scenarios.rinex import Observations, read_observations
+from kfenv.scenarios.satellite_channels import assign_channels, by_channel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -181,7 +182,7 @@ def read_log(
     jumps = _clock_jumps(observed.time, clock)
     shift = jumps * MILLISECOND
     start, mean, factor = _initial_states(observed.time, fixes, shift)
-    channel = _channels(np.isfinite(seen.pseudorange))
+    channel = assign_channels(np.isfinite(seen.pseudorange), seen.elevation)
     return GnssLog(
         path=str(observations),
         step=step,
@@ -311,44 +312,19 @@ def _of_difference(covariance: Array, passed: Array) -> Array:
     return np.block([[covariance, covariance / passed], [covariance / passed, rate]])
 
 
-def _channels(visible: NDArray[np.bool_]) -> Indices:
-    """The satellite (column of `visible`) in each of 12 channels at each epoch, or -1.
-
-    A satellite keeps its channel while it is seen; one that rises takes a free channel.
-    """
-    channel = np.full((len(visible), CHANNELS), -1)
-    now = np.full(CHANNELS, -1)
-    for epoch, seen in enumerate(visible):
-        now[(now >= 0) & ~seen[now]] = -1
-        free = np.flatnonzero(now < 0)
-        rising = np.setdiff1d(np.flatnonzero(seen), now)[: free.size]
-        now[free[: rising.size]] = rising
-        channel[epoch] = now
-    return channel
-
-
-def _by_channel(values: Array, channel: Indices, idle: float) -> Array:
-    """Values (E, S, ...) of satellites as (E, 12, ...) of channels."""
-    empty = channel < 0
-    rows = np.arange(len(channel))[:, None]
-    chosen = values[rows, np.where(empty, 0, channel)]
-    chosen[empty] = idle
-    return chosen
-
-
 def _measurement(raw: Signals, seen: View, channel: Indices, shift: Array) -> Array:
-    ranges = _by_channel(seen.pseudorange - shift[:, None], channel, np.nan)
-    return np.concatenate((ranges, _by_channel(raw.rate, channel, np.nan)), axis=1)
+    ranges = by_channel(seen.pseudorange - shift[:, None], channel, np.nan)
+    return np.concatenate((ranges, by_channel(raw.rate, channel, np.nan)), axis=1)
 
 
 def _noise(seen: View, channel: Indices) -> Array:
-    ranges = _by_channel(seen.deviation, channel, _idle_noise()[0])
+    ranges = by_channel(seen.deviation, channel, _idle_noise()[0])
     return np.concatenate((ranges, np.full_like(ranges, RATE_NOISE)), axis=1)
 
 
 def _inputs(seen: View, channel: Indices) -> Array:
     states = np.concatenate((seen.position, seen.velocity), axis=-1)
-    return _by_channel(states, channel, 0.0).reshape(len(channel), -1)
+    return by_channel(states, channel, 0.0).reshape(len(channel), -1)
 
 
 def _idle_noise() -> Array:
