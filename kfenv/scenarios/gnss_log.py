@@ -6,6 +6,7 @@ and one to test on, so that no agent is tested on what it was tuned on.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil
@@ -80,10 +81,10 @@ class GnssLog:
         """The instants of a window, s."""
         return np.arange(round(duration / self.step) + 1) * self.step
 
-    def random_starts(self, rngs: list[Generator], duration: float, part: str) -> Indices:
+    def random_starts(self, rngs: Sequence[Generator], duration: float, part: str) -> Indices:
         """Draw from each generator at which epoch a window of that part begins."""
         possible = self._possible(duration, part)
-        return np.array([possible[rng.integers(len(possible))] for rng in rngs])
+        return np.array([possible[rng.integers(len(possible))] for rng in rngs], np.int64)
 
     def starts(self, duration: float, part: str) -> Indices:
         """The epochs at which that part's windows begin, as many as fit without overlap.
@@ -197,6 +198,20 @@ def read_log(
         position=position,
         clock_jumps=tuple(int(jump) for jump in np.diff(jumps)[np.diff(jumps) != 0]),
     )
+
+
+def log_of(pair: Sequence[str | PathLike[str]]) -> GnssLog:
+    """Read the log of a static receiver from the paths of an observation and a navigation file.
+
+    Raises:
+        FileNotFoundError, ValueError: as `read_log`, or if it is no pair of paths.
+    """
+    right = isinstance(pair, Sequence) and not isinstance(pair, str) and len(pair) == 2
+    if not right or not all(isinstance(path, str | PathLike) for path in pair):
+        raise ValueError(
+            f"rinex must be the paths of an observation and a navigation file, got {pair!r}."
+        )
+    return read_log(*map(str, pair))
 
 
 # ----- checks -----------------------------------------------------------------------------

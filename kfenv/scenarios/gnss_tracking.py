@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import datetime, timedelta
 from functools import cached_property, lru_cache
 from os import PathLike
@@ -15,6 +15,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from kfenv.checks import is_number
+from kfenv.models.constant_acceleration import constant_acceleration
 from kfenv.models.gnss.almanac import baseline_constellation, read_yuma
 from kfenv.models.gnss.atmosphere import WET_DENSITY, klobuchar, niell
 from kfenv.models.gnss.clock import with_clock
@@ -34,6 +35,8 @@ from kfenv.scenarios.gnss_faults import (
     RangeStep,
     ReceiverMisreport,
 )
+from kfenv.scenarios.gnss_log import GnssLog, log_of
+from kfenv.scenarios.recording import Recording
 from kfenv.scenarios.satellite_channels import assign_channels, by_channel
 from kfenv.scenarios.scenario import TrackingScenario
 from kfenv.scenarios.tracks import SmoothTrack, from_radar, load_track, smooth_track
@@ -41,7 +44,7 @@ from kfenv.scenarios.trajectories import MAX_DURATION, paper_trajectory, random_
 
 Array = NDArray[np.float64]
 
-DURATION, PAPER_DURATION = 120.0, 250.0  # s, unless told
+DURATION, PAPER_DURATION, LOG_DURATION = 120.0, 250.0, 300.0  # s, unless told
 PAPER_TIME = timedelta(hours=5)  # of the day: six satellites above 10 deg for 250 s
 CLOCK_DENSITY = 0.1  # (m/s)^2/s, of truth and filter
 DRIFT_DEVIATION = 5.0  # m/s
@@ -66,6 +69,8 @@ class GnssTracking(TrackingScenario):
         mask: elevation above which satellites are used, deg.
         ionosphere: share of the ionospheric delay that the corrections leave.
         track: path of a real flight's CSV file, flown at its own place.
+        rinex: paths of a real log's observation and navigation file, in place of all that
+            is simulated; the receiver stood still. The log sets `rate`.
     """
 
     duration: float | None = None
@@ -78,6 +83,7 @@ class GnssTracking(TrackingScenario):
     mask: float = 10.0
     ionosphere: float = 0.0
     track: str | None = None
+    rinex: Sequence[str] | None = None
 
     name: ClassVar[str] = "GnssTracking"
     known_faults: ClassVar[Mapping[str, type]] = GNSS_FAULTS
@@ -98,8 +104,14 @@ class GnssTracking(TrackingScenario):
     def __post_init__(self) -> None:
         if self.duration is None:
             duration = PAPER_DURATION if self.faults == "paper" else DURATION
+            duration = duration if self.rinex is None else LOG_DURATION
             object.__setattr__(self, "duration", duration)
+        if self.log is not None:
+            object.__setattr__(self, "rate", 1.0 / self.log.step)
         super().__post_init__()
+        if self.log is not None:
+            self._check_log()
+            return
         self._check_measurement_rate()
         self._check_place()
         _ = _parsed(self.date), self._constellation  # complain
@@ -130,6 +142,13 @@ class GnssTracking(TrackingScenario):
                 f"place must be (latitude, longitude, height) in degrees and metres, got {place!r}."
             )
 
+    def _check_log(self) -> None:
+        for item in fields(self):
+            simulated = item.name not in ("duration", "rate", "rinex")
+            if simulated and getattr(self, item.name) != item.default:
+                raise ValueError(f"{item.name} is for simulated episodes: leave it out with rinex.")
+        self.log.random_starts([], self.duration, "tuning")  # complains
+
     def _check_flight(self) -> None:
         if self.track is not None:
             if not isinstance(self.track, str | PathLike):
@@ -143,8 +162,12 @@ class GnssTracking(TrackingScenario):
 
     @cached_property
     def motion(self) -> Motion:
-        """Variable turn, white jerk of 1 m^2/s^5, and a clock of 0.1 (m/s)^2/s."""
-        return with_clock(variable_turn(1.0), CLOCK_DENSITY)
+        """Variable turn, white jerk of 1 m^2/s^5, and a clock of 0.1 (m/s)^2/s.
+
+        Constant acceleration for a real log: a receiver at rest has no turn rate.
+        """
+        moves = variable_turn(1.0) if self.rinex is None else constant_acceleration(1.0)
+        return with_clock(moves, CLOCK_DENSITY)
 
     @cached_property
     def sensor(self) -> Sensor:
@@ -155,6 +178,28 @@ class GnssTracking(TrackingScenario):
     def initial_deviations(self) -> Array:
         """Position, velocity and acceleration along each axis, clock bias and drift."""
         return np.array([*self.initial_deviation * 3, round(CLOCK_OFFSET), DRIFT_DEVIATION])
+
+    @cached_property
+    def log(self) -> GnssLog | None:
+        """The real log, if there is one."""
+        return None if self.rinex is None else log_of(self.rinex)
+
+    def sample(self, rngs: Sequence[Generator]) -> Recording:
+        """Draw one episode from each generator: of a log, a window of its first part."""
+        if self.log is None:
+            return super().sample(rngs)
+        starts = self.log.random_starts(rngs, self.duration, "tuning")
+        return self.log.recording(starts, self.duration)
+
+    def recorded(self, split: str, episodes: int) -> Recording | None:
+        """The windows of a log that are kept for validation or test, None for other episodes.
+
+        Raises:
+            ValueError: if the log is too short for two of them.
+        """
+        if self.log is None or split == "tuning":
+            return None
+        return self.log.recording(self.log.starts(self.duration, split)[:episodes], self.duration)
 
     @cached_property
     def _constellation(self) -> Constellation:
