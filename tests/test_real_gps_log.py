@@ -3,6 +3,8 @@
 The files lie beside the repository; without them what needs them is skipped, saying so.
 """
 
+import json
+import pickle
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -10,6 +12,8 @@ from itertools import pairwise
 import numpy as np
 import pymap3d
 import pytest
+from kfenv.agents.cli import app
+from kfenv.agents.rollout import draw_episodes
 from rinex_files import (
     BROADCAST,
     OBSERVED,
@@ -17,7 +21,10 @@ from rinex_files import (
     write_navigation,
     write_observations,
 )
+from typer.testing import CliRunner
 
+import kfenv  # noqa: F401  (registers the environments)
+from kfenv.envs.options import check_recording
 from kfenv.filters.reference import ReferenceFilter
 from kfenv.models.constant_acceleration import constant_acceleration
 from kfenv.models.gnss.clock import with_clock
@@ -26,6 +33,7 @@ from kfenv.models.gnss.pseudorange import pseudoranges
 from kfenv.scenarios.ephemeris import RELATIVITY, read_navigation, satellite_states
 from kfenv.scenarios.gnss_fix import L1, fix, signals
 from kfenv.scenarios.gnss_log import MILLISECOND, PARTS, read_log
+from kfenv.scenarios.gnss_tracking import GnssTracking
 from kfenv.scenarios.rinex import read_observations
 
 pytestmark = needs_rinex
@@ -309,6 +317,65 @@ def test_parts_of_a_log_share_no_epoch():
     drawn = log().random_starts(rngs, 300.0, "tuning")
     assert len(np.unique(drawn)) > 10
     assert (log().row[drawn] + 300).max() <= spans["validation"][0]
+
+
+# ----- the scenario and the command line --------------------------------------------------
+
+
+def test_agents_are_tested_on_windows_that_tuning_never_saw():
+    kwargs = {"rinex": [str(OBSERVED), str(BROADCAST)], "duration": 300.0}
+    tuning, validation, test = (
+        draw_episodes("kfenv/GnssTracking-v0", kwargs, split, seed=0, episodes=32)
+        for split in ("tuning", "validation", "test")
+    )
+    assert (len(tuning), len(validation), len(test)) == (32, 2, 5)
+    assert len(draw_episodes("kfenv/GnssTracking-v0", kwargs, "test", seed=0, episodes=3)) == 3
+    parts = [set(part.measurement[np.isfinite(part.measurement)]) for part in (tuning, test)]
+    assert not parts[0] & parts[1]
+
+
+def test_the_scenario_takes_a_log_in_place_of_all_that_is_simulated():
+    scenario = GnssTracking(rinex=(str(OBSERVED), str(BROADCAST)))
+    assert (scenario.rate, scenario.duration, scenario.time.size) == (1.0, 300.0, 301)
+    assert scenario.motion.name == "constant-acceleration with clock"
+    again = pickle.loads(pickle.dumps(scenario))
+    rngs = [[np.random.default_rng(seed) for seed in range(3)] for _ in range(2)]
+    one, other = scenario.sample(rngs[0]), again.sample(rngs[1])
+    np.testing.assert_array_equal(one.measurement, other.measurement)
+    np.testing.assert_array_equal(one.time, scenario.time)
+    check_recording(one, scenario)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "said"),
+    [
+        ({"rinex": str(OBSERVED)}, "must be the paths of an observation and a navigation file"),
+        ({"rinex": [str(OBSERVED)] * 2}, r"a navigation file \(type 'N'\) is wanted"),
+        ({"faults": "none"}, "faults is for simulated episodes"),
+        ({"track": "flight.csv"}, "track is for simulated episodes"),
+        ({"duration": 3000.0}, "no room for a window of 3000 s"),
+    ],
+)
+def test_keywords_that_do_not_go_with_a_log_say_so(keywords, said):
+    with pytest.raises(ValueError, match=said):
+        GnssTracking(**({"rinex": (str(OBSERVED), str(BROADCAST))} | keywords))
+
+
+def test_evaluate_contests_agents_on_a_real_log(tmp_path):
+    """In the reference tier, so that nothing is compiled."""
+    folder = tmp_path / "out"
+    result = CliRunner().invoke(
+        app,
+        ["evaluate", "kfenv/GnssTracking-v0", "--rinex", str(OBSERVED), str(BROADCAST),
+         "--agent", "huber-gate", "--output", str(folder), "--processes", "1",
+         "--option", "filter=srukf-joseph-prior", "--option", "duration=90", "--episodes", "4",
+         "--tuning-trials", "0"],
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    assert "4 windows of a real log, kept from training and tuning" in result.output
+    results = json.loads((folder / "results.json").read_text())
+    assert [r["episodes"] for r in results] == [4, 4]
+    assert all(r["track_loss"] == 0.0 and r["rmse_median"] < 5.0 for r in results)
 
 
 def test_a_log_too_short_says_for_what():
