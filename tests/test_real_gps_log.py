@@ -368,7 +368,7 @@ def test_evaluate_contests_agents_on_a_real_log(tmp_path):
         app,
         ["evaluate", "kfenv/GnssTracking-v0", "--rinex", str(OBSERVED), str(BROADCAST),
          "--agent", "huber-gate", "--output", str(folder), "--processes", "1",
-         "--option", "filter=srukf-joseph-prior", "--option", "duration=90", "--episodes", "4",
+         "--option", "filter=srukf-joseph-prior", "--option", "duration=60", "--episodes", "4",
          "--tuning-trials", "0"],
     )  # fmt: skip
     assert result.exit_code == 0, result.output

@@ -136,6 +136,13 @@ def test_the_antenna_stands_above_its_marker(tmp_path):
         (("# / TYPES OF OBSERV", "COMMENT"), "no line '# / TYPES OF OBSERV'"),
         (("     6    L1", "     7    L1"), "line 3: 7 types of observation are said, 6 listed"),
         (("    C1    L2    P2", "    C2    L2    P2"), "no GPS pseudorange on L1, only L1, C2"),
+        (
+            (
+                "# / TYPES OF OBSERV\n",
+                "# / TYPES OF OBSERV\n" + header_line("G   10", "SYS / SCALE FACTOR"),
+            ),
+            "line 4: observations with a scale factor",
+        ),
         (("     GPS", "     GLO"), "line 4: GPS times are wanted, the file has GLO"),
         (("END OF HEADER", "COMMENT"), "before the end of its header"),
         ((" -3978242.4348", " -3978x42.4348"), "line 2: APPROX POSITION XYZ should be a number"),

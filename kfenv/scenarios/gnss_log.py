@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil
 from os import PathLike
+from pathlib import Path
 
 import numpy as np
 from numpy.random import Generator
@@ -154,11 +155,13 @@ class GnssLog:
         return truth
 
 
-@lru_cache(maxsize=4)
 def read_log(
     observations: str | PathLike[str], navigation: str | PathLike[str], static: bool = True
 ) -> GnssLog:
     """Read a RINEX 2 or 3 pair: GPS, one frequency.
+
+    A static receiver's log goes to the environment as ``rinex=(OBS, NAV)``. For one that
+    moved, ``log.recording(log.starts(duration, part), duration)`` is its ``recording``.
 
     Args:
         observations, navigation: paths of the files.
@@ -211,7 +214,15 @@ def log_of(pair: Sequence[str | PathLike[str]]) -> GnssLog:
         raise ValueError(
             f"rinex must be the paths of an observation and a navigation file, got {pair!r}."
         )
-    return read_log(*map(str, pair))
+    paths = [Path(path) for path in pair]
+    written = [path.stat().st_mtime_ns if path.is_file() else 0 for path in paths]
+    return _read_once(*map(str, paths), *written)
+
+
+@lru_cache(maxsize=4)
+def _read_once(observations: str, navigation: str, *written: int) -> GnssLog:
+    """The log, read anew when its files have changed."""
+    return read_log(observations, navigation)
 
 
 # ----- checks -----------------------------------------------------------------------------

@@ -184,7 +184,7 @@ def read_observations(path: str | Path) -> Observations:
     """
     lines = Lines(path)
     version, header = read_header(lines, "O")
-    _check_time_system(lines, header)
+    _check_conventions(lines, header)
     kinds = _kinds_v2(lines, header) if version == 2 else _kinds_v3(lines, header)
     code = next((code for code in PSEUDORANGES[version] if code in kinds), None)
     if code is None:
@@ -232,7 +232,11 @@ def _table(
     )  # fmt: skip
 
 
-def _check_time_system(lines: Lines, header: Header) -> None:
+def _check_conventions(lines: Lines, header: Header) -> None:
+    for number, line in header.get("SYS / SCALE FACTOR", []):
+        if line[0] == "G":
+            with lines.at(number):
+                raise lines.wrong("observations with a scale factor are not read")
     for number, line in header.get("TIME OF FIRST OBS", []):
         if line[48:51].strip() not in ("", "GPS"):
             with lines.at(number):
