@@ -2,7 +2,8 @@
 
 Read are, of GPS, one pseudorange and its Doppler on L1, and the station's position in
 the header. Everything else (other systems, carrier phases, L2) is passed over. Each
-complaint is one sentence that names the file and the line.
+complaint is one sentence that names the file and the line. (The parsers to be had
+either bring a C library or pass silently over an epoch that is cut off.)
 """
 
 from __future__ import annotations
