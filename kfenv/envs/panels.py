@@ -201,10 +201,10 @@ class ErrorPanel(Panel):
         self._error.set_data(history.steps, history.error)
         if not len(history):
             return False
-        self._bound_text.set_text(f"{predicted[-1]:.0f} m")
+        self._bound_text.set_text(_metres(predicted[-1]))
         if history.truth is not None:
-            self._error_text.set_text(f"{history.error[-1]:.0f} m")
-            self._rms_text.set_text(f"{np.sqrt(np.mean(history.error**2)):.0f} m")
+            self._error_text.set_text(_metres(history.error[-1]))
+            self._rms_text.set_text(_metres(np.sqrt(np.mean(history.error**2))))
         low, high = self.axes.get_ylim()
         top = min(np.nanmax([*history.error, *predicted, 0.0]), self._widest)
         if top <= high:
@@ -362,6 +362,11 @@ def _true_track(axes: Axes, history: History, unit: float) -> list[Line2D]:
         bands += axes.plot(east[during], north[during], color=history.colours[fault.label],
                            lw=8, solid_capstyle="butt", zorder=2.1)  # fmt: skip
     return bands
+
+
+def _metres(value: float) -> str:
+    """Whole metres, or tenths below ten."""
+    return f"{value:.1f} m" if value < 9.95 else f"{value:.0f} m"
 
 
 def _short(value: float) -> str:

@@ -24,7 +24,11 @@ def assign_channels(visible: NDArray[np.bool_], elevation: Array) -> Indices:
     """
     channel = np.full((len(visible), CHANNELS), -1)
     now = np.full(CHANNELS, -1)
+    changed = np.append(True, (visible[1:] != visible[:-1]).any(axis=1))
     for epoch, seen in enumerate(visible):
+        if not changed[epoch]:
+            channel[epoch] = now
+            continue
         now[(now >= 0) & ~seen[now]] = -1
         free = np.flatnonzero(now < 0)
         waiting = np.setdiff1d(np.flatnonzero(seen), now)

@@ -154,6 +154,19 @@ class TrackingScenario(ABC):
         """The initial estimate (n,), drawn about the truth (n,) at the first instant."""
         return start + self.initial_deviations * rng.standard_normal(len(start))
 
+    def local_frame(self, position: Array) -> tuple[Array, Array]:
+        """Where pictures are drawn: p becomes rotation (p - origin), east, north, up.
+
+        Here the states are in such a frame already.
+
+        Args:
+            position: (3,) in the state's frame, the middle of what is to be seen.
+
+        Returns:
+            Origin (3,) and rotation (3, 3).
+        """
+        return np.zeros(3), np.eye(3)
+
     def clean(
         self, kind: type[Draft], truth: Array, motion_inputs: Array | None = None,
         sensor_inputs: Array | None = None, **more: object,

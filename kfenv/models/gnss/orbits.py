@@ -19,6 +19,7 @@ GRAVITY = 3.986005e14  # m^3/s^2
 EARTH_RATE = 7.2921151467e-5  # rad/s
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
 WEEK = 604_800.0  # s
+TYPICAL_FLIGHT = 0.076  # s: signals take 0.067 to 0.087
 GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
 
 
@@ -104,8 +105,8 @@ class Constellation:
         leaves out the change of the flight time, 1 cm/s at most.
         """
         time, receiver = np.asarray(time)[..., None], receiver[..., None, :]
-        flight = np.zeros(1)
-        for _ in range(3):  # each pass gains five digits
+        flight = np.full(1, TYPICAL_FLIGHT)
+        for _ in range(2):  # each pass gains five digits: a millimetre
             position, velocity = self.states(time - flight)
             position = turned_with_earth(position, flight)
             flight = np.linalg.norm(position - receiver, axis=-1) / SPEED_OF_LIGHT
@@ -115,7 +116,7 @@ class Constellation:
 def eccentric_anomaly(mean_anomaly: Array, eccentricity: Array) -> Array:
     """Solve Kepler's equation E - e sin E = M by Newton's method, to rounding for e < 0.1."""
     eccentric = mean_anomaly + eccentricity * np.sin(mean_anomaly)
-    for _ in range(4):
+    for _ in range(3):
         residual = eccentric - eccentricity * np.sin(eccentric) - mean_anomaly
         eccentric = eccentric - residual / (1.0 - eccentricity * np.cos(eccentric))
     return eccentric
