@@ -33,9 +33,9 @@ class GnssTrackingEnv(TrackingEnv):
     last, its ``estimate`` (11 states: position, velocity and acceleration along x, y, z of
     the earth-fixed WGS84 frame; m, m/s, m/s^2; clock bias, m, and drift, m/s),
     ``position_error`` (m) and ``nis`` (0 if nothing arrived); of the measurement that is
-    pending ``innovation`` and ``innovation_variance`` (m or m/s, 12 pseudoranges and then 12 rates; zero
-    and infinite in channels that are missing and at the episode's end) and ``noise`` (the
-    standard deviations that the filter is told); where the truth is known ``truth`` and
+    pending ``innovation`` and ``innovation_variance`` (m or m/s, 12 pseudoranges and then
+    12 rates; zero and infinite in channels that are missing and at the episode's end) and
+    ``noise`` (the standard deviations that the filter is told); where the truth is known ``truth`` and
     ``nees`` (of the position, 3 degrees of freedom); after a step ``knobs``, the factors
     applied.
 
