@@ -59,10 +59,8 @@ def draw_episodes(
 ) -> Recording:
     """The episodes of a split: of a real log at most as many as that part of it has."""
     scenario, _ = scenario_and_options(env_id, env_kwargs)
-    recorded = scenario.recorded(split, episodes) if hasattr(scenario, "recorded") else None
-    if recorded is not None:
-        return recorded
-    return scenario.sample(episode_rngs(split, seed, episodes))
+    recorded = scenario.recorded(split, episodes)
+    return recorded or scenario.sample(episode_rngs(split, seed, episodes))
 
 
 @dataclass(frozen=True)

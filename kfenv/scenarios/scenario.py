@@ -107,6 +107,10 @@ class TrackingScenario(ABC):
         """Draw one episode from each generator."""
         return stack([self.episode(rng) for rng in rngs])
 
+    def recorded(self, split: str, episodes: int) -> Recording | None:
+        """At most so many episodes of a real log that are kept for a split; None if drawn."""
+        return None
+
     def episode(self, rng: Generator) -> Recording:
         """Draw one episode: truth, faults, measurement noise, initial estimate."""
         truth = self.trajectory(rng)
