@@ -1,16 +1,19 @@
-"""What an agent is: something that sees observations and sets knobs, a batch at a time."""
+"""Who takes part in a contest: agents, which see observations and set knobs a batch at a
+time, and filters that go through whole recordings by themselves."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kfenv.envs.knobs import Knob, actions_for
+from kfenv.envs.options import Options
+from kfenv.filters.results import History
 from kfenv.models.model import Sensor
 from kfenv.scenarios.recording import Recording
 
@@ -48,18 +51,14 @@ class Parameter:
     default: float
 
 
-class Agent(ABC):
-    """Base of all agents: reset once per briefing, then one action per decision.
+class Contestant:
+    """Base of all that can be scored on recordings.
 
     Class attributes:
         parameters: what tuning may choose.
-        all_knobs: whether the agent wants every knob, whatever the environment exposes.
-        clairvoyant: whether it may look into the recording.
     """
 
     parameters: ClassVar[tuple[Parameter, ...]] = ()
-    all_knobs: ClassVar[bool] = True
-    clairvoyant: ClassVar[bool] = False
 
     def __init__(self, name: str, values: Mapping[str, float] | None = None) -> None:
         self.name = name
@@ -68,6 +67,42 @@ class Agent(ABC):
     def tunable(self, knobs: Sequence[Knob]) -> tuple[Parameter, ...]:
         """What tuning may choose, given the knobs that the agent can turn."""
         return self.parameters
+
+    def with_values(self, values: Mapping[str, float]) -> Self:
+        """The same contestant with other parameters."""
+        return type(self)(self.name, values)
+
+
+class RecordingFilter(Contestant, ABC):
+    """Base of filters that turn a whole recording into a history, without knobs or decisions."""
+
+    @abstractmethod
+    def check(self, scenario: Any, options: Options, recording: Recording) -> None:
+        """Complain, before a contest begins, if the filter does not suit it.
+
+        Args:
+            scenario, options: of the environment.
+            recording: some episode of it.
+
+        Raises:
+            ValueError: in one sentence.
+        """
+
+    @abstractmethod
+    def filter(self, scenario: Any, options: Options, recording: Recording) -> History:
+        """Filter every episode of a recording, whose truth and faults are not shown."""
+
+
+class Agent(Contestant, ABC):
+    """Base of all agents: reset once per briefing, then one action per decision.
+
+    Class attributes:
+        all_knobs: whether the agent wants every knob, whatever the environment exposes.
+        clairvoyant: whether it may look into the recording.
+    """
+
+    all_knobs: ClassVar[bool] = True
+    clairvoyant: ClassVar[bool] = False
 
     def reset(self, briefing: Briefing) -> None:
         """Forget the last briefing."""
@@ -81,10 +116,6 @@ class Agent(ABC):
     @abstractmethod
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
         """Actions (B, K) for observations (B, D) and the arrays of the info dictionary."""
-
-    def with_values(self, values: Mapping[str, float]) -> Agent:
-        """The same agent with other parameters."""
-        return type(self)(self.name, values)
 
 
 def knob_actions(

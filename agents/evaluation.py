@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .agent import RecordingFilter
 from .files import write_json, written_whole
 from .learned import Learned
-from .registry import AGENTS, make_agent
-from .rollout import Scores, draw_episodes, rollout
+from .registry import NAMES, make_agent
+from .rollout import Scores, draw_episodes, rollout, scenario_and_options
 from .tuning import tune
 
 Array = NDArray[np.float64]
@@ -59,7 +60,7 @@ class Contest:
         for given, name in zip(self.all_agents, names, strict=True):
             if "/" in name:
                 raise ValueError(f"An agent's name must not hold a slash: {name!r}.")
-            if names.count(name) > 1 or (name in AGENTS and given not in AGENTS):
+            if names.count(name) > 1 or (name in NAMES and given not in NAMES):
                 raise ValueError(
                     f"Two agents are called {name!r}: name the trained one with OTHER=PATH."
                 )
@@ -88,9 +89,7 @@ def evaluate(
         FileExistsError: if the folder holds anything and ``resume`` is not set.
         ValueError: if it holds another contest, or an agent is unknown.
     """
-    draw_episodes(
-        contest.env_id, contest.env_kwargs, contest.split, contest.seed, 1
-    )  # complain first
+    _complain_first(contest)
     _admit(output, contest, resume)
     names = contest.all_agents
     todo = [name for name in names if not _scores_path(output, name).exists()]
@@ -106,6 +105,15 @@ def evaluate(
     ]
     write_json(output / "results.json", results)
     return results
+
+
+def _complain_first(contest: Contest) -> None:
+    """Meet what can be refused before anything is written."""
+    place = (contest.env_id, contest.env_kwargs)
+    episode = draw_episodes(*place, contest.split, contest.seed, 1)
+    for contestant in map(make_agent, contest.all_agents):
+        if isinstance(contestant, RecordingFilter):
+            contestant.check(*scenario_and_options(*place), episode)
 
 
 def run_agent(contest: Contest, name: str) -> tuple[Scores, dict[str, float]]:
@@ -138,6 +146,7 @@ def _named_run(contest: Contest, name: str) -> tuple[str, tuple[Scores, dict[str
 
 def _summary(contest: Contest, name: str, scores: dict[str, Scores]) -> dict[str, Any]:
     own = scores[name]
+    nees = own.nees[~own.lost]
     improvement = 1.0 - own.rmse / scores["fixed"].rmse
     low, high = median_interval(improvement, contest.seed)
     rmse_low, rmse_high = median_interval(own.rmse, contest.seed)
@@ -154,7 +163,7 @@ def _summary(contest: Contest, name: str, scores: dict[str, Scores]) -> dict[str
         "rmse_median_ci_high": rmse_high,
         "rmse_p95": float(np.percentile(own.rmse, 95)),
         "track_loss": float(own.lost.mean()),
-        "anees": float(np.mean(own.nees[~own.lost])) if not own.lost.all() else None,
+        "anees": float(np.mean(nees)) if len(nees) > 0 and np.isfinite(nees).all() else None,
         "improvement_over_fixed": float(np.median(improvement)),
         "ci_low": low,
         "ci_high": high,

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from .evaluation import Contest, read_scores, read_values
 from .plotting import COLOURS, clean, save, shade
 from .registry import make_agent
-from .rollout import draw_episodes, rollout
+from .rollout import draw_episodes, rollout, scenario_and_options
 
 
 def draw_contest(contest: Contest, results: Sequence[dict[str, Any]], output: Path) -> list[Path]:
@@ -93,14 +93,15 @@ def _episode(contest: Contest, results: Sequence[dict[str, Any]], output: Path) 
         time = scores.time
         style = {"color": _colour(result, results), "lw": 1.3, "label": result["agent"]}
         top.plot(time, scores.error[:, 0], **style)
-        bottom.plot(time, scores.factors[:, 0, 2:].prod(axis=1) ** (1.0 / 3.0), **style)
+        bottom.plot(time, np.exp(np.log(scores.factors[:, 0, 2:]).mean(axis=1)), **style)
     shade(top, recording.faults[0])
     shade(bottom, recording.faults[0], labelled=False)
     for axes, label in ((top, "position error, m"), (bottom, "noise factor\n(mean of groups)")):
         axes.set_yscale("log")
         axes.set_ylabel(label)
         clean(axes)
-    top.set_ylim(0.3, 2e4)  # beyond 10 km a track is lost
+    scenario, _ = scenario_and_options(contest.env_id, contest.env_kwargs)
+    top.set_ylim(scenario.error_scale / 200.0, 2.0 * scenario.lost_distance)
     top.set_title(f"Episode {chosen}, on which the nominal filter does as usual", loc="left")
     top.legend(frameon=False, ncols=3, fontsize=9)
     bottom.set_xlabel("time, s")

@@ -36,7 +36,8 @@ class FixedTuned(Agent):
 class Clairvoyant(Agent):
     """Knows the deviation each measurement's noise was drawn with: the bound for noise tuning.
 
-    It knows of errors that are random, not of constant ones (see `Draft.added_noise`).
+    The deviation is each channel's own: errors common to several channels, and constant
+    ones, are not in it.
     """
 
     parameters = (Parameter("process_noise", 0.05, 200.0, 1.0),)

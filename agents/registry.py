@@ -1,12 +1,14 @@
-"""Agents by name, or by the path of a trained policy."""
+"""Contestants by name: agents, filters of the family, or the path of a trained policy."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+from kfenv.filters.designs import DESIGNS
 from kfenv.names import unknown
 
-from .agent import Agent
+from .agent import Agent, Contestant
+from .family import FamilyFilter
 from .fixed import Clairvoyant, Fixed, FixedTuned, Random
 from .learned import Learned
 from .rules import HuberGate, InnovationFading, InnovationFadingPrinted, InnovationNoise
@@ -21,10 +23,11 @@ AGENTS: dict[str, type[Agent]] = {
     "clairvoyant": Clairvoyant,
     "random": Random,
 }
+NAMES = (*AGENTS, *DESIGNS)
 
 
-def make_agent(name_or_path: str) -> Agent:
-    """The named agent, or the policy at a path (a file, or the folder of a training run).
+def make_agent(name_or_path: str) -> Contestant:
+    """The named agent or filter, or the policy at a path (a file, or a training run's folder).
 
     ``NAME=PATH`` gives a policy a name of its own.
 
@@ -33,10 +36,12 @@ def make_agent(name_or_path: str) -> Agent:
     """
     if name_or_path in AGENTS:
         return AGENTS[name_or_path](name_or_path)
+    if name_or_path in DESIGNS:
+        return FamilyFilter(name_or_path)
     label, _, path = name_or_path.rpartition("=")
     if Path(path).exists():
         return Learned(path, label or None)
     raise ValueError(
-        unknown("agent", name_or_path, AGENTS) + " A trained agent is named by the path of its "
+        unknown("agent", name_or_path, NAMES) + " A trained agent is named by the path of its "
         "policy.npz or of its folder."
     )

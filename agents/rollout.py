@@ -1,4 +1,4 @@
-"""Agents on recordings: everything scored, everyone on the same noise."""
+"""Contestants on recordings: everything scored by one rule, everyone on the same noise."""
 
 from __future__ import annotations
 
@@ -12,17 +12,23 @@ from gymnasium.envs.registration import EnvSpec, load_env_creator
 from numpy.random import Generator, SeedSequence, default_rng
 from numpy.typing import NDArray
 
-from kfenv.envs.core import Core
-from kfenv.envs.options import Options, split_keywords
+from kfenv.envs import statistics
+from kfenv.envs.core import IDLE, Core
+from kfenv.envs.knobs import knobs_of
+from kfenv.envs.options import Options, check_recording, split_keywords
+from kfenv.filters.matrices import cholesky, symmetric
+from kfenv.filters.results import History
 from kfenv.scenarios.recording import Recording
 
-from .agent import Agent, Briefing
+from .agent import Agent, Briefing, Contestant, RecordingFilter
 
 Array = NDArray[np.float64]
 
 # Streams of random numbers that never meet: training draws from plain seeds, the
 # others from children of the seed's sequence under a key of their own.
 SPLITS = {"tuning": 1, "validation": 2, "test": 3}
+
+HISTORY_SIZE = 10_000_000  # numbers in the covariances that are held at once: 80 MB
 
 
 def episode_rngs(split: str, seed: int, episodes: int) -> list[Generator]:
@@ -65,14 +71,15 @@ def draw_episodes(
 
 @dataclass(frozen=True)
 class Scores:
-    """What an agent achieved on N episodes.
+    """What a contestant achieved on N episodes.
 
     Attributes:
         rmse: (N,) position RMSE over the whole episode, m; a lost track counts the loss
             distance for every remaining instant.
         lost: (N,) whether the track was lost.
-        nees: (N,) mean position NEES per degree of freedom until the end or the loss.
-        time: (D,) end of each decision, s, if traced.
+        nees: (N,) mean position NEES per degree of freedom until the end or the loss; NaN
+            where a covariance on the way was not positive definite.
+        time: (D,) end of each decision, s, if traced; every instant of a recording filter.
         error: (D, N) position error then, m, if traced.
         factors: (D, N, K) all knobs' factors, if traced.
     """
@@ -86,14 +93,14 @@ class Scores:
 
 
 def rollout(
-    agent: Agent,
+    contestant: Contestant,
     env_id: str,
     env_kwargs: dict[str, Any],
     recording: Recording,
     seed: int = 0,
     trace: bool = False,
 ) -> Scores:
-    """Run an agent over every episode of a recording, in lock-step.
+    """Run a contestant over every episode of a recording.
 
     Raises:
         ValueError: if the recording has no truth to score against.
@@ -101,6 +108,15 @@ def rollout(
     if recording.truth is None:
         raise ValueError("The episodes have no truth, so no error can be scored.")
     scenario, options = scenario_and_options(env_id, env_kwargs)
+    if isinstance(contestant, RecordingFilter):
+        return _filter(contestant, scenario, options, recording, trace)
+    return _decide(contestant, scenario, options, recording, seed, trace)
+
+
+def _decide(
+    agent: Agent, scenario: Any, options: Options, recording: Recording, seed: int, trace: bool
+) -> Scores:
+    """All episodes in lock-step, an action from the agent per decision."""
     options = replace(options, recording=recording, reward="rmse", **agent.own_options)
     core = Core(scenario, options, len(recording), recording.time, has_truth=True)
     core.load(np.arange(len(recording)), recording)
@@ -119,12 +135,72 @@ def rollout(
             times.append(recording.time[min(core.index.max(), len(recording.time)) - 1])
             errors.append(core.error.copy())
             factors.append(core.factors.copy())
-    steps = len(recording.time)
-    scored = np.where(lost, core.index + 1, steps)
-    squared = core.total_squared_error + (steps - scored) * scenario.lost_distance**2
-    own_scores = (np.sqrt(squared / steps), lost, core.total_nees / scored / 3.0)
+    totals = core.total_squared_error, core.total_nees
     traces = (np.array(times), np.array(errors), np.array(factors)) if trace else ()
-    return Scores(*own_scores, *traces)
+    return _settle(scenario, len(recording.time), lost, core.index, *totals, *traces)
+
+
+def _settle(
+    scenario: Any, steps: int, lost: NDArray[np.bool_], index: NDArray[np.int64],
+    squared_error: Array, nees: Array, *traces: Array,
+) -> Scores:  # fmt: skip
+    """The scores from sums over the instants until the end, or the loss at `index`."""
+    scored = np.where(lost, index + 1, steps)
+    squared = squared_error + (steps - scored) * scenario.lost_distance**2
+    return Scores(np.sqrt(squared / steps), lost, nees / scored / 3.0, *traces)
+
+
+def _filter(
+    contestant: RecordingFilter,
+    scenario: Any,
+    options: Options,
+    recording: Recording,
+    trace: bool,
+) -> Scores:
+    """Some episodes at a time, so that their covariances fit into memory."""
+    check_recording(recording, scenario)
+    size = len(recording.time) * recording.mean.shape[1] ** 2
+    chunk = max(1, HISTORY_SIZE // size)
+    parts = []
+    for begin in range(0, len(recording), chunk):
+        part = recording[begin : begin + chunk]
+        told = replace(part, truth=None, true_noise=None, faults=())
+        parts.append(_score(contestant.filter(scenario, options, told), scenario, part, trace))
+    rmse, lost, nees = (
+        np.concatenate([getattr(p, name) for p in parts]) for name in ("rmse", "lost", "nees")
+    )
+    if not trace:
+        return Scores(rmse, lost, nees)
+    errors, factors = (np.concatenate([getattr(p, name) for p in parts], axis=1)
+                       for name in ("error", "factors"))  # fmt: skip
+    return Scores(rmse, lost, nees, recording.time, errors, factors)
+
+
+def _score(history: History, scenario: Any, recording: Recording, trace: bool) -> Scores:
+    """Book a filter's history instant by instant, as `Core` books its own."""
+    batch, steps = history.mean.shape[:2]
+    place = list(scenario.motion.position)
+    means, truth = (x[..., place].swapaxes(0, 1).copy() for x in (history.mean, recording.truth))
+    blocks = history.covariance[..., place, :][..., place].swapaxes(0, 1)
+    with np.errstate(all="ignore"):  # a covariance may be none: then there is no NEES
+        roots = cholesky(symmetric(blocks).reshape(-1, 3, 3)).reshape(steps, batch, 3, 3)
+    squared, nominal, nees_sum, count, nees = np.zeros((5, batch))
+    index, active, lost = np.zeros(batch, np.int64), np.ones(batch, bool), np.zeros(batch, bool)
+    no_rival, error, errors = np.zeros((batch, steps)), np.full(batch, np.nan), []
+    for t in range(steps):
+        failed = (history.failed_at >= 0) & (history.failed_at <= t)
+        status = np.where(failed, history.status, 0)
+        work = np.where(active, status, IDLE)
+        statistics.score(means[t], roots[t], truth[t], np.arange(3), work, error, nees)
+        error[active & failed], nees[active & failed] = scenario.lost_distance, np.nan
+        statistics.account(
+            error, nees, status, no_rival, scenario.lost_distance, index, active, lost,
+            squared, nominal, nees_sum, count,
+        )  # fmt: skip
+        errors.append(error.copy())
+    knobs = len(knobs_of(scenario.sensor.groups))
+    traces = (recording.time, np.array(errors), np.ones((steps, batch, knobs))) if trace else ()
+    return _settle(scenario, steps, lost, index, squared, nees_sum, *traces)
 
 
 def _without_truth(core: Core) -> dict[str, Any]:

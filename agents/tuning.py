@@ -10,19 +10,19 @@ import numpy as np
 from kfenv.envs.knobs import choose_knobs
 from kfenv.scenarios.recording import Recording
 
-from .agent import Agent, Parameter
+from .agent import Contestant, Parameter
 from .rollout import rollout, scenario_and_options
 
 
 def tune(
-    agent: Agent,
+    agent: Contestant,
     env_id: str,
     env_kwargs: dict[str, Any],
     recording: Recording,
     trials: int,
     seed: int,
     advance: Callable[[], None] = lambda: None,
-) -> Agent:
+) -> Contestant:
     """The agent with the parameters of least mean log RMSE over the tuning episodes.
 
     On the logarithms of the parameters: a third of the trials are spread over their

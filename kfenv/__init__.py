@@ -1,7 +1,6 @@
 """Gymnasium environments in which an agent learns to tune an adaptive Kalman filter.
 
-Importing this package registers the environments ``kfenv/RadarTracking-v0``,
-``kfenv/RadarValidation-v0`` and ``kfenv/GnssTracking-v0``.
+Importing this package registers the environments that `ENVIRONMENTS` lists.
 """
 
 import gymnasium
@@ -11,6 +10,7 @@ __version__ = "0.1.0"
 _MODULES = {
     "kfenv/RadarTracking-v0": "kfenv.envs.radar",
     "kfenv/RadarValidation-v0": "kfenv.envs.radar",
+    "kfenv/BistaticTracking-v0": "kfenv.envs.bistatic",
     "kfenv/GnssTracking-v0": "kfenv.envs.gnss",
 }
 ENVIRONMENTS = tuple(_MODULES)

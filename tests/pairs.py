@@ -11,6 +11,7 @@ from kfenv.filters.matrices import tria
 from kfenv.models.constant_acceleration import constant_acceleration
 from kfenv.models.model import Component, Motion, MotionFunctions, Sensor
 from kfenv.models.namespaces import batch as namespace
+from kfenv.models.position import position
 from kfenv.models.radar import radar
 from kfenv.models.variable_turn import variable_turn
 
@@ -95,6 +96,20 @@ def _build_beacon(xp):
     return measure
 
 
+def position_sensor() -> Sensor:
+    """A linear sensor of an aircraft."""
+    channels = tuple(Component(axis, "m", "position") for axis in "xyz")
+    return Sensor("position", channels, _build_position)
+
+
+def _build_position(xp):
+    @xp.function
+    def measure(x, s):
+        return x[0], x[3] + 0.5 * x[4], x[6]
+
+    return measure
+
+
 def wrap(angle):
     return angle - 2.0 * np.pi * np.floor(angle / (2.0 * np.pi) + 0.5)
 
@@ -138,6 +153,20 @@ def radar_case(
     return Case(mean, factor, t, nothing, nothing, z, sd, *_knobs(batch))
 
 
+def position_case(batch: int = 4, steps: int = 150, missing: float = 0.2, seed: int = 2) -> Case:
+    """The same aircraft at two measurements of position per second."""
+    case = radar_case(batch, steps, 0.0, seed, dt=0.5)
+    rng = np.random.default_rng(seed)
+    distance, azimuth, elevation = np.moveaxis(case.z, 2, 0)
+    ground = distance * np.cos(elevation)
+    z = np.stack([ground * np.sin(azimuth), ground * np.cos(azimuth),
+                  distance * np.sin(elevation)], axis=2)  # fmt: skip
+    z[rng.random(z.shape) < missing] = np.nan
+    z[:, 50:60] = np.nan
+    sd = 100.0 * rng.uniform(0.5, 2.0, size=z.shape)
+    return case._replace(z=z, sd=sd)
+
+
 def robot_case(batch: int = 4, steps: int = 300, missing: float = 0.3, seed: int = 1) -> Case:
     """Robots driving circles through heading 180 deg, hearing a different beacon each time."""
     rng = np.random.default_rng(seed)
@@ -161,8 +190,41 @@ def robot_case(batch: int = 4, steps: int = 300, missing: float = 0.3, seed: int
     return Case(mean, factor, time, u, s, z, sd.copy(), *_knobs(batch))
 
 
+def drawn_case(
+    motion: Motion, sensor: Sensor, mean: Array, factor: Array, sd: Array, dt: float, seed: int = 0
+) -> tuple[Array, Case]:
+    """Truth (B, T, n) drawn from the models themselves, and its recording with knobs at one.
+
+    Args:
+        mean: (n,), and factor (n, n): of the initial state.
+        sd: (B, T, m) deviations of the measurements' noise, NaN where nothing arrives.
+    """
+    rng = np.random.default_rng(seed)
+    batch, steps = sd.shape[:2]
+    functions, n, step = motion.build(namespace), len(mean), np.full(batch, dt)
+    truth, L = np.empty((batch, steps, n)), np.zeros((batch, n, n))
+    truth[:, 0] = mean + rng.normal(size=(batch, n)) @ factor.T
+    for t in range(1, steps):
+        x = tuple(truth[:, t - 1].T)
+        for place, entry in zip(
+            motion.noise_pattern, functions.noise_factor(x, (), step), strict=True
+        ):
+            L[:, *place] = entry
+        noise = (L @ rng.normal(size=(batch, n, 1)))[:, :, 0]
+        truth[:, t] = np.stack(functions.step(x, (), step), axis=1) + noise
+    z = np.stack(sensor.build(namespace)(tuple(np.moveaxis(truth, 2, 0)), ()), axis=2)
+    z = z + sd * rng.normal(size=sd.shape)
+    angles = [channel.angle for channel in sensor.channels]
+    z[:, :, angles] = wrap(z[:, :, angles])
+    told, nothing, ones = np.nan_to_num(sd, nan=1.0), np.zeros((batch, steps, 0)), np.ones(batch)
+    means, factors = np.tile(mean, (batch, 1)), np.tile(factor, (batch, 1, 1))
+    time = dt * np.arange(steps)
+    return truth, Case(means, factors, time, nothing, nothing, z, told, ones, ones)
+
+
 PAIRS = {
     "variable turn, radar": (variable_turn(), radar(), radar_case),
     "constant acceleration, radar": (constant_acceleration(), radar(), radar_case),
+    "constant acceleration, position": (constant_acceleration(0.2), position(), position_case),
     "robot, beacon": (robot(), beacon(), robot_case),
 }

@@ -16,6 +16,7 @@ from kfenv.scenarios.recording import Recording
 every_environment = pytest.mark.parametrize("env_id", kfenv.ENVIRONMENTS)
 
 TRACKING, VALIDATION = "kfenv/RadarTracking-v0", "kfenv/RadarValidation-v0"
+BISTATIC = "kfenv/BistaticTracking-v0"
 GNSS = "kfenv/GnssTracking-v0"
 
 # Faults of every scenario, short and mild enough for short episodes.
@@ -44,6 +45,7 @@ class Peculiar(NamedTuple):
 PECULIAR = {
     TRACKING: Peculiar(90.0),
     VALIDATION: Peculiar(800.0, "none"),
+    BISTATIC: Peculiar(9.0),
     GNSS: Peculiar(50.0),
 }
 assert set(PECULIAR) == set(kfenv.ENVIRONMENTS)

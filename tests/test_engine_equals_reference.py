@@ -18,6 +18,7 @@ CHOICES = [
     ("variable turn, radar", 1.0),
     ("variable turn, radar", 0.0),
     ("constant acceleration, radar", 1.0),
+    ("constant acceleration, position", 1.0),
     ("robot, beacon", 3.0),
 ]
 
@@ -71,7 +72,7 @@ def test_every_step(name, kappa):
         assert_same_update(updated, updated_too, angles)
 
 
-@pytest.mark.parametrize(("name", "kappa"), [CHOICES[0], CHOICES[3]])
+@pytest.mark.parametrize(("name", "kappa"), [CHOICES[0], CHOICES[-1]])
 def test_whole_runs(name, kappa):
     motion, sensor, make_case = PAIRS[name]
     case = make_case()

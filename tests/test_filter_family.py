@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pairs import PAIRS, radar_case, robot_case
+from pairs import PAIRS, position_sensor, radar_case, robot_case
 
 from kfenv.filters import covariance, square_root
 from kfenv.filters.designs import DESIGNS, FilterDesign, find_design
@@ -15,7 +15,7 @@ from kfenv.filters.matrices import transpose, tria
 from kfenv.filters.reference import ReferenceFilter
 from kfenv.filters.transforms import StateFunction, extended, sigma_weights, unscented
 from kfenv.models.constant_acceleration import constant_acceleration
-from kfenv.models.model import Component, Sensor
+from kfenv.models.model import Sensor
 from kfenv.models.namespaces import batch, dual
 from kfenv.models.process_noise import white_jerk
 from kfenv.models.radar import radar
@@ -44,19 +44,6 @@ def histories(*designs, case=None):
 
 
 # -- linear models: everything is the Kalman filter ----------------------------------
-
-
-def position_sensor():
-    channels = tuple(Component(axis, "m", "position") for axis in "xyz")
-
-    def build(xp):
-        @xp.function
-        def measure(x, s):
-            return x[0], x[3] + 0.5 * x[4], x[6]
-
-        return measure
-
-    return Sensor("position", channels, build)
 
 
 def kalman(case, q, H):

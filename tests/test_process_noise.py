@@ -1,5 +1,7 @@
 """Every process noise is a covariance and the right one; the printed ones are not."""
 
+from math import sqrt
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -116,6 +118,20 @@ def test_constant_acceleration_factor_equals_its_covariance(dt):
     Phi, Q1 = noise.van_loan(A, np.array([[0.0], [0.0], [1.0]]), dt)
     assert_same_covariance(noise.white_jerk(dt), Q1, 1e-13)
     np.testing.assert_allclose(Phi, [[1.0, dt, dt**2 / 2.0], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize("dt", INTERVALS)
+def test_matrix_fraction_decomposition(dt):
+    """S3 eq 7 in its own order of the states, position before velocity before acceleration."""
+    A = np.kron([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]], np.eye(3))
+    B = sqrt(0.2) * np.kron([[0.0], [0.0], [1.0]], np.eye(3))
+    Q = noise.matrix_fraction(A, B, dt)
+    exact = 0.2 * np.kron(noise.white_jerk(dt), np.eye(3))
+    np.testing.assert_allclose(Q, exact, rtol=1e-14, atol=1e-15 * exact.max())
+    assert_same_covariance(Q, noise.van_loan(A, B, dt)[1], 1e-13)
+    axis_major = [3 * d + i for i in range(3) for d in range(3)]
+    model = covariance_of(constant_acceleration(0.2), (0.0,) * 9, dt)
+    assert_same_covariance(Q[np.ix_(axis_major, axis_major)], model, 1e-14)
 
 
 @pytest.mark.parametrize("dt", INTERVALS)

@@ -5,14 +5,17 @@ import sys
 from dataclasses import replace
 from itertools import pairwise
 
+import gymnasium as gym
 import numpy as np
 import pytest
+from rollouts import every_environment, short, zeros
 
 from kfenv.envs.history import measured_positions, merged
 from kfenv.envs.panels import ellipse
 from kfenv.envs.radar import RadarTrackingEnv
 from kfenv.models.model import Component, Sensor
 from kfenv.models.namespaces import batch
+from kfenv.models.position import position
 from kfenv.models.radar import radar
 from kfenv.scenarios.recording import FaultInterval
 
@@ -48,6 +51,25 @@ def test_a_frame_is_an_image_that_changes_with_every_step(make):
     assert all(frame.dtype == np.uint8 and frame.shape == (900, 1200, 3) for frame in frames)
     changed = [(before != after).sum() for before, after in pairwise(frames)]
     assert min(changed) > 100
+
+
+@every_environment
+def test_every_environment_is_drawn(env_id):
+    """To the end of an episode with every fault; measured positions lie about the true ones."""
+    env = gym.make(env_id, render_mode="rgb_array", **short(env_id)).unwrapped
+    env.reset(seed=1)
+    first = env.render()
+    over = False
+    while not over:
+        _, _, lost, ended, _ = env.step(zeros(env))
+        over = lost or ended
+    assert env.render().shape == first.shape == (900, 1200, 3)
+    assert (env.render() != first).sum() > 1000
+    seen = env._film._history.seen
+    if len(seen):
+        off = np.linalg.norm(seen - env._film._history.truth, axis=1)
+        assert np.nanmedian(off) < 10.0 * env.scenario.error_scale
+    env.close()
 
 
 def test_the_kept_background_changes_nothing(make):
@@ -163,6 +185,7 @@ def test_measured_positions_invert_the_radar():
     truth = recording.truth[0][:, place]
     exact = np.stack(radar().build(batch)(tuple(recording.truth[0].T), ()), axis=1)
     np.testing.assert_allclose(measured_positions(radar(), exact), truth, atol=1e-6)
+    np.testing.assert_array_equal(measured_positions(position(), truth), truth)
     other = Sensor("other", (Component("pseudorange", "m", "pseudorange"),), None)
     assert measured_positions(other, exact[:, :1]) is None
 

@@ -10,7 +10,7 @@ from rich.progress import Progress
 
 from kfenv.names import unknown
 
-from . import radar_validation
+from . import bistatic, hard_geometry, radar_tracking, radar_validation
 from .claims import Claim, write_claims
 from .laboratory import Laboratory
 
@@ -32,6 +32,13 @@ class Experiment(NamedTuple):
 EXPERIMENTS: dict[str, Experiment] = {
     "E1": Experiment("radar at 10 Hz, constant noise (S1 sec. 4)", 500, radar_validation.at_10_hz),
     "E2": Experiment("radar at 2 Hz, constant noise (S0 sec. 4)", 500, radar_validation.at_2_hz),
+    "E3": Experiment(
+        "phased array at 10 Hz, jamming and signal loss (S0 sec. 5.1)",
+        40,
+        radar_tracking.reproduce,
+    ),
+    "hard": Experiment("lost tracks in hard geometry", 200, hard_geometry.reproduce),
+    "E5": Experiment("bistatic tracking, linear filter (S3 sec. 5)", 2000, bistatic.reproduce),
 }
 
 

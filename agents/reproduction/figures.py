@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -14,6 +16,8 @@ from .monte_carlo import Outcome
 Array = NDArray[np.float64]
 
 AXES = ("x, east", "y, north", "z, up")
+# Filters often agree to the width of a line: dashes let the one below be seen.
+DASHES = ("-", (0, (6, 4)), (3, (4, 4)), (0, (2, 3)), (2, (1, 3)))
 
 
 def track(
@@ -29,21 +33,22 @@ def track(
     """
     figure = Figure((10.0, 4.8), layout="constrained")
     above, height = figure.subplots(1, 2)
-    for axes, x_of, y in ((above, lambda p: p[:, 0] / 1e3, 1), (height, lambda p: time, 2)):
+    name, unit = ("km", 1e3) if np.ptp(truth, axis=0).max() > 2e3 else ("m", 1.0)
+    for axes, x_of, y in ((above, lambda p: p[:, 0] / unit, 1), (height, lambda p: time, 2)):
         if measured is not None:
-            axes.plot(x_of(measured), measured[:, y] / 1e3, ".", color="#bbbbbb", ms=2,
+            axes.plot(x_of(measured), measured[:, y] / unit, ".", color="#bbbbbb", ms=3,
                       label="measured")  # fmt: skip
-        axes.plot(x_of(truth), truth[:, y] / 1e3, color="black", lw=2.5, label="truth")
-        for colour, (label, path) in zip(COLOURS[1:], estimates.items(), strict=False):
-            axes.plot(x_of(path), path[:, y] / 1e3, color=colour, lw=1.2, label=label)
+        axes.plot(x_of(truth), truth[:, y] / unit, color="black", lw=2.5, label="truth")
+        for style, (label, path) in enumerate(estimates.items()):
+            axes.plot(x_of(path), path[:, y] / unit, lw=1.3, label=label, **_style(style, 1))
         clean(axes)
-    low, high = truth.min(axis=0) / 1e3, truth.max(axis=0) / 1e3
-    margin = 0.25 * (high - low) + 0.01
+    low, high = truth.min(axis=0) / unit, truth.max(axis=0) / unit
+    margin = 0.25 * (high - low)
     above.set_xlim(low[0] - margin[0], high[0] + margin[0])
     above.set_ylim(low[1] - margin[1], high[1] + margin[1])
     height.set_ylim(low[2] - 2.0 * margin[2], high[2] + 2.0 * margin[2])
-    above.set(xlabel="east, km", ylabel="north, km")
-    height.set(xlabel="time, s", ylabel="height, km")
+    above.set(xlabel=f"east, {name}", ylabel=f"north, {name}")
+    height.set(xlabel="time, s", ylabel=f"height, {name}")
     above.legend(frameon=False, fontsize=9)
     return figure
 
@@ -61,8 +66,8 @@ def rmse(time: Array, outcomes: Mapping[str, Outcome], bound: Array | None = Non
         for style, (label, outcome) in enumerate(outcomes.items()):
             kept = outcome.position_error[~outcome.lost, :, axis]
             if len(kept):
-                axes.plot(time, np.sqrt(np.mean(kept**2, axis=0)), color=COLOURS[style], lw=1.4,
-                          ls=("-", "--", ":", "-.")[style % 4], label=label)  # fmt: skip
+                rms = np.sqrt(np.mean(kept**2, axis=0))
+                axes.plot(time, rms, lw=1.5, label=label, **_style(style))
         if bound is not None:
             axes.plot(time, bound[:, axis], color="#777777", lw=3, alpha=0.5,
                       label="posterior Cramér-Rao bound")  # fmt: skip
@@ -109,11 +114,11 @@ def condition(time: Array, outcomes: Mapping[str, Outcome]) -> Figure:
     figure = Figure((10.0, 5.2), layout="constrained")
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
     for style, (label, outcome) in enumerate(outcomes.items()):
-        colour = COLOURS[style]
-        _spread(left, time, outcome.condition, colour, label)
+        _spread(left, time, outcome.condition, label, style)
         if np.isfinite(outcome.root_condition).any():
-            _spread(right, time, outcome.root_condition, colour, f"{label}: κ(S)")
+            _spread(right, time, outcome.root_condition, f"{label}: κ(S)", style)
             squared = np.nanmedian(outcome.root_condition**2, axis=0)
+            colour = _style(style)["color"]
             right.plot(time, squared, color=colour, lw=3.5, alpha=0.3, label=f"{label}: κ(S)²")
     left.set_title("κ(P) of the covariance: median, thin the worst run", loc="left", fontsize=10)
     right.set_title("κ(S) of the square root, and its square", loc="left", fontsize=10)
@@ -125,11 +130,19 @@ def condition(time: Array, outcomes: Mapping[str, Outcome]) -> Figure:
     return figure
 
 
-def _spread(axes, time: Array, values: Array, colour: str, label: str) -> None:
+def _spread(axes: Axes, time: Array, values: Array, label: str, style: int) -> None:
     seen = np.isfinite(values).any(axis=0)
     median, worst = (f(values[:, seen], axis=0) for f in (np.nanmedian, np.nanmax))
-    axes.plot(time[seen], median, color=colour, lw=1.4, label=label)
-    axes.plot(time[seen], worst, color=colour, lw=0.5)
+    axes.plot(time[seen], median, lw=1.5, label=label, **_style(style))
+    axes.plot(time[seen], worst, lw=0.5, color=_style(style)["color"])
+
+
+def _style(number: int, first: int = 0) -> dict[str, Any]:
+    """Colour and dashes of a figure's line."""
+    return {
+        "color": COLOURS[(first + number) % len(COLOURS)],
+        "ls": DASHES[number % len(DASHES)],
+    }
 
 
 def accelerations(time: Array, truth: Array, estimates: Mapping[str, Array]) -> Figure:
@@ -139,8 +152,7 @@ def accelerations(time: Array, truth: Array, estimates: Mapping[str, Array]) -> 
     for axis, axes in enumerate(panels):
         axes.plot(time, truth[:, axis], color="black", lw=2.2, label="truth")
         for style, (label, path) in enumerate(estimates.items()):
-            axes.plot(time, path[:, axis], color=COLOURS[1 + style], lw=1.1, label=label,
-                      ls=("-", "--", ":")[style % 3])  # fmt: skip
+            axes.plot(time, path[:, axis], lw=1.2, label=label, **_style(style, 1))
         axes.set_ylabel(f"{AXES[axis]}, m/s²")
         clean(axes)
     panels[0].legend(frameon=False, ncols=4, fontsize=9)

@@ -204,7 +204,9 @@ def _filter_chunk(study: Study, start: int) -> tuple[int, dict[str, NDArray]]:
     recording = study.sample(start, CHUNK)
     arrays = {}
     for i, method in enumerate(study.methods):
-        outcome = _outcome(study, recording, filter_recording(study.scenario, method, recording))
+        history = filter_recording(study.scenario, method, recording)
+        with np.errstate(all="ignore"):  # a filter that has come apart overflows
+            outcome = _outcome(study, recording, history)
         arrays |= {f"{i}/{name}": value for name, value in outcome._asdict().items()}
     return start, arrays
 
@@ -216,14 +218,13 @@ def _outcome(study: Study, recording: Recording, history: History) -> Outcome:
     gone = ~(distance <= study.scenario.lost_distance)
     lost_at = np.where(gone.any(axis=1), recording.time[np.argmax(gone, axis=1)], np.inf)
     P = history.covariance
-    with np.errstate(all="ignore"):
-        definite = np.isfinite(cholesky(_batched(symmetric(P)))).all(axis=(1, 2))
-        nees = _nees(error[:, kept][..., position], P[:, kept][..., position[:, None], position])
+    rootless = ~np.isfinite(cholesky(_batched(symmetric(P)))).all(axis=(1, 2))
+    indefinite = rootless.reshape(P.shape[:2]) & np.isfinite(P).all(axis=(2, 3))
     factors = history.factor
     return Outcome(
         error=error[:, kept],
         channel_error=_channel_error(study.scenario.sensor, history.mean, recording, kept),
-        nees=nees,
+        nees=_nees(error[:, kept][..., position], P[:, kept][..., position[:, None], position]),
         nis=history.nis[:, kept],
         condition=_condition(P[:, kept]),
         root_condition=np.full(error[:, kept].shape[:2], np.nan)
@@ -231,7 +232,7 @@ def _outcome(study: Study, recording: Recording, history: History) -> Outcome:
         else _condition(factors[:, kept]),
         lost_at=lost_at,
         failure=history.status,
-        indefinite=np.sum(~definite.reshape(P.shape[:2]), axis=1),
+        indefinite=np.sum(indefinite, axis=1),
     )
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -20,7 +21,7 @@ Array = NDArray[np.float64]
 
 INTERVALS = (0.1, 0.2, 0.25, 0.5, 1.0)  # s, the range of S1 Fig. 8
 STEPS = 150
-REPEATS = 5
+REPEATS = 7
 MANY = 256
 ENGINE = "engine"
 
@@ -38,15 +39,27 @@ def time_filters(scenario: Any, methods: Sequence[Method], seed: int) -> Timing:
     many = _beginning(scenario.sample([rng] * MANY))
     one = many[[0]]
     engine = Engine(scenario.motion, scenario.sensor)
-    alone, together = {}, {}
-    for method in methods:
-        for batch, times in ((one, alone), (many, together)):
-            times[method.label] = _best(
-                lambda m=method, b=batch: filter_recording(scenario, m, b), batch
-            )
-    for batch, times in ((one, alone), (many, together)):
-        times[ENGINE] = _best(lambda b=batch: _run_engine(engine, b), batch)
-    return Timing(alone, together)
+    work = {m.label: partial(filter_recording, scenario, m) for m in methods}
+    work[ENGINE] = partial(_run_engine, engine)
+    return Timing(_least_times(work, one), _least_times(work, many))
+
+
+def _least_times(
+    work: dict[str, Callable[[Recording], Any]], recording: Recording
+) -> dict[str, float]:
+    """Least time of each piece of work over some rounds, per filter and step.
+
+    All take part in every round, so that a busy machine slows them alike; the first
+    round warms up.
+    """
+    least = dict.fromkeys(work, np.inf)
+    for repeat in range(REPEATS + 1):
+        for label, run in work.items():
+            start = perf_counter()
+            run(recording)
+            if repeat > 0:
+                least[label] = min(least[label], perf_counter() - start)
+    return {label: time / recording.measurement[..., 0].size for label, time in least.items()}
 
 
 def _beginning(recording: Recording) -> Recording:
@@ -66,17 +79,6 @@ def _run_engine(engine: Engine, r: Recording) -> None:
         r.mean, r.factor, r.time, r.motion_inputs, r.sensor_inputs, r.measurement, r.noise,
         ones, ones,
     )  # fmt: skip
-
-
-def _best(work, recording: Recording) -> float:
-    """Least time of some repeats, per filter and step; a first one warms up."""
-    work()
-    best = np.inf
-    for _ in range(REPEATS):
-        start = perf_counter()
-        work()
-        best = min(best, perf_counter() - start)
-    return best / recording.measurement[..., 0].size
 
 
 def figure(timing: Timing, duration: float) -> Figure:
@@ -101,6 +103,7 @@ def figure(timing: Timing, duration: float) -> Figure:
                    color=COLOURS[style % len(COLOURS)], label=label)  # fmt: skip
     right.set(xscale="log", yscale="log", xlabel="interval between steps, s")
     right.set_ylabel(f"time per trajectory of {duration:g} s, alone, s")
+    right.set_title("the time per step times the number of steps", loc="left", fontsize=10)
     right.legend(frameon=False, fontsize=8)
     for axes in (left, right):
         clean(axes)

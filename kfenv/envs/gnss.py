@@ -35,9 +35,9 @@ class GnssTrackingEnv(TrackingEnv):
     ``position_error`` (m) and ``nis`` (0 if nothing arrived); of the measurement that is
     pending ``innovation`` and ``innovation_variance`` (m or m/s, 12 pseudoranges and then
     12 rates; zero and infinite in channels that are missing and at the episode's end) and
-    ``noise`` (the standard deviations that the filter is told); where the truth is known ``truth`` and
-    ``nees`` (of the position, 3 degrees of freedom); after a step ``knobs``, the factors
-    applied.
+    ``noise`` (the standard deviations that the filter is told); where the truth is known
+    ``truth`` and ``nees`` (of the position, 3 degrees of freedom); after a step ``knobs``,
+    the factors applied.
 
     ## Action Space
     ``Box(-1, 1, (4,), float32)``, one component a per knob, less where ``actions``
@@ -116,8 +116,8 @@ class GnssTrackingEnv(TrackingEnv):
 
       - ``"random"`` (default), each starting at random: up to two jamming bursts of 5 to
         25 s that raise all noise 2 to 31 times; a clock that jitters by 15 to 150 m for 10
-        to 30 s; a PLL failure of 2 to 8 s without any satellite; a step of 20 to 200 m in
-        one satellite's pseudorange for 10 to 40 s, and a ramp of 0.3 to 3 m/s for 20 to
+        to 30 s; a PLL failure of 2 to 8 s without any satellite; a step of 5 to 50 m in
+        one satellite's pseudorange for 10 to 40 s, and a ramp of 0.1 to 1 m/s for 20 to
         60 s, as by a spoofer; a multipath burst of 5 to 30 s that raises the pseudorange
         noise below 30 deg 3 to 30 times; and a misreported noise level, 0.4 to 2.5 times
         the true one in each group.
@@ -136,9 +136,8 @@ class GnssTrackingEnv(TrackingEnv):
         `kfenv.scenarios.gnss_faults`, or of one's own: anything with a ``label`` and a
         method ``apply(draft, rng)``.
 
-      The true noise that the clairvoyant agent knows holds all random errors, a
-      jittering clock's included though it is common to all satellites; a step or a ramp
-      is no noise, and it does not know of them.
+      The true noise that the clairvoyant agent knows is each channel's own. It does not
+      know of a clock's jitter, which is common to all satellites, nor of steps and ramps.
     - ``place``: latitude and longitude (deg) and height (m) of the flights' origin
       (default 45.2, 7.6, 0).
     - ``date``: a day such as ``"2016-02-29"`` (default), at a random time of which each

@@ -104,6 +104,8 @@ def measured_positions(sensor: Sensor, measurement: Array) -> Array | None:
     pseudoranges: its film has no dots.
     """
     names = [channel.name for channel in sensor.channels]
+    if {"x", "y", "z"} <= set(names):
+        return measurement[:, [names.index(axis) for axis in "xyz"]]
     if not {"range", "azimuth", "elevation"} <= set(names):
         return None
     distance, azimuth, elevation = (

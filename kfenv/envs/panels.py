@@ -41,7 +41,7 @@ def lay_out(figure: Figure, scenario: Any, knobs: Sequence[Knob], history: Histo
     scale, widest = scenario.error_scale, scenario.lost_distance
     header = Header(figure.add_axes((0.065, 0.925, 0.915, 0.065)), history, scenario.name)
     close_up = CloseUp(figure.add_axes((0.6575, 0.45, 0.3225, 0.43)), history, widest)
-    radar = history.measured is not None
+    radar = scenario.sensor.name == "radar"
     track = Map(figure.add_axes((0.065, 0.45, 0.54, 0.43)), history, close_up, radar)
     error = ErrorPanel(figure.add_axes((0.065, 0.23, 0.745, 0.15)), history, scale, widest)
     knob = KnobPanel(figure.add_axes((0.065, 0.06, 0.745, 0.15)), history, knobs)
@@ -290,7 +290,7 @@ class Header(Panel):
     def update(self, history: History) -> bool:
         """Tell the time."""
         now = history.steps[-1] if len(history) else history.time[0]
-        self._time.set_text(f"{now:.1f} of {history.time[-1]:.0f} s")
+        self._time.set_text(f"{now:.1f} of {history.time[-1]:.4g} s")
         return False
 
 
@@ -365,7 +365,7 @@ def _true_track(axes: Axes, history: History, unit: float) -> list[Line2D]:
 
 
 def _metres(value: float) -> str:
-    """Whole metres, or tenths below ten."""
+    """Whole metres, with a decimal below ten."""
     return f"{value:.1f} m" if value < 9.95 else f"{value:.0f} m"
 
 

@@ -148,7 +148,8 @@ class ReferenceFilter:
         spreads = np.full((*z.shape[:2], *factor.shape[1:]), np.nan)
         run = self._filter(mean, factor, time, u, s, z, sd, fading, process_scale, spreads)
         if self.design.form == "square-root":
-            return History(*run, spreads @ transpose(spreads), spreads)
+            with np.errstate(over="ignore"):  # of a filter that has long diverged
+                return History(*run, spreads @ transpose(spreads), spreads)
         return History(*run, spreads, None)
 
     def _require_factors(self) -> None:

@@ -48,6 +48,20 @@ def van_loan(A: Array, B: Array, dt: float) -> tuple[Array, Array]:
     return Phi, 0.5 * (Q + Q.T)
 
 
+def matrix_fraction(A: Array, B: Array, dt: float) -> Array:
+    """Noise covariance of x' = A x + B w over dt by matrix fraction decomposition (S3 eq 7).
+
+    Q = C D^-1 with [C; D] = exp([[A, B B^T], [0, -A^T]] dt) [0; I]; arguments as in `van_loan`,
+    which needs no solution of a linear system.
+    """
+    from scipy.linalg import expm  # half a second of import that no filter needs
+
+    n = len(A)
+    M = expm(np.block([[A, B @ B.T], [np.zeros_like(A), -A.T]]) * dt)
+    C, D = M[:n, n:], M[n:, n:]
+    return np.linalg.solve(D.T, C.T).T
+
+
 def variable_turn(alpha: float, omega_c: float, dt: float) -> Array:
     """Covariance (3, 3) of v'' = -2 alpha v' - (alpha^2 + omega_c^2) v + w over dt (SPEC 3.3).
 

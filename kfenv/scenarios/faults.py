@@ -33,8 +33,6 @@ class Draft:
         told_factor: (T, m) multiplies the noise that the filter is told.
         available: (T, m) whether the channel arrives.
         exact: (T, m) the measurements without noise; a fault may add errors of its own.
-        added_noise: (T, m) deviation of the random errors that faults have added to `exact`,
-            e.g. errors common to several channels; it counts as noise, constant errors do not.
         motion_inputs, sensor_inputs: (T, p), (T, k) the inputs as the filter is told them.
         intervals: what happened when.
     """
@@ -44,7 +42,6 @@ class Draft:
     told_factor: Array
     available: NDArray[np.bool_]
     exact: Array
-    added_noise: Array
     motion_inputs: Array
     sensor_inputs: Array
     intervals: list[FaultInterval] = field(default_factory=list)
@@ -53,11 +50,8 @@ class Draft:
     def clean(cls, time: Array, channels: int, **more: object) -> Draft:
         """An episode without faults; measurements of zero and no inputs unless given."""
         shape, none = (len(time), channels), np.empty((len(time), 0))
-        given = {
-            "exact": np.zeros(shape), "added_noise": np.zeros(shape),
-            "motion_inputs": none, "sensor_inputs": none,
-        }  # fmt: skip
-        return cls(time, np.ones(shape), np.ones(shape), np.ones(shape, bool), **(given | more))
+        given = {"exact": np.zeros(shape), "motion_inputs": none, "sensor_inputs": none} | more
+        return cls(time, np.ones(shape), np.ones(shape), np.ones(shape, bool), **given)
 
     def window(self, label: str, start: float, duration: float) -> slice:
         """Label the interval, as far as it lies in the episode, and return its time indices."""

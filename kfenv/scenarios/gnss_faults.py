@@ -46,7 +46,7 @@ class ClockDegradation:
     """The receiver's clock jitters: a white error common to all satellites, unknown to the filter.
 
     The rates get a thirtieth of it per second, an error of their own draw (published:
-    150 m and 5 m/s).
+    150 m and 5 m/s). Being common, it is not part of the channels' true noise.
 
     Attributes:
         duration: range of its length, s.
@@ -70,8 +70,6 @@ class ClockDegradation:
         inside = draft.window(self.label, draw_start(self.start, duration, draft, rng), duration)
         error = deviation * rng.standard_normal((len(draft.time), 2))
         draft.exact[inside] += np.repeat(error[inside], CHANNELS, axis=1)
-        added = np.repeat(deviation, CHANNELS)
-        draft.added_noise[inside] = np.hypot(draft.added_noise[inside], added)
 
 
 @dataclass(frozen=True)
@@ -95,7 +93,7 @@ class RangeStep:
 
     label: ClassVar[str] = "range step"
     duration: Range = (10.0, 40.0)
-    size: Range = (20.0, 200.0)
+    size: Range = (5.0, 50.0)
     start: float | None = None
 
     def __post_init__(self) -> None:
@@ -125,7 +123,7 @@ class RangeRamp:
 
     label: ClassVar[str] = "range ramp"
     duration: Range = (20.0, 60.0)
-    rate: Range = (0.3, 3.0)
+    rate: Range = (0.1, 1.0)
     start: float | None = None
 
     def __post_init__(self) -> None:

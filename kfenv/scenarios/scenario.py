@@ -119,7 +119,6 @@ class TrackingScenario(ABC):
         true_noise, told_noise = self.deviations(draft)
         true_noise, told_noise = true_noise * draft.noise_factor, told_noise * draft.told_factor
         measurement = draft.exact + true_noise * rng.standard_normal(true_noise.shape)
-        true_noise = np.hypot(true_noise, draft.added_noise)
         circular = list(self.circular)
         angle = measurement[:, circular]
         measurement[:, circular] = np.arctan2(np.sin(angle), np.cos(angle))

@@ -19,6 +19,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
+from kfenv.models.model import Motion
+from kfenv.models.namespaces import scalar
 from kfenv.scenarios.coverage import (
     CHECK_STEP,
     MAX_RANGE,
@@ -91,6 +93,28 @@ def paper_trajectory(name: Literal["A", "B"], time: ArrayLike) -> Array:
     )
     start = np.array(PAPER_START[name])
     return _states(flight, _fly(flight, time[-1]), start, time)
+
+
+def drawn_trajectory(rng: Generator, motion: Motion, start: Array, time: Array) -> Array:
+    """States (T, n) drawn from a motion model itself, its discrete noise included.
+
+    Args:
+        rng: where the noise comes from.
+        motion: a model without known inputs.
+        start: (n,) state at the first time.
+        time: (T,) increasing, s.
+    """
+    model = motion.build(scalar)
+    truth = np.zeros((len(time), len(start)))
+    truth[0] = start
+    factor = np.zeros((len(start), len(start)))
+    rows, columns = zip(*motion.noise_pattern, strict=True)
+    noise = rng.standard_normal((len(time) - 1, len(start)))
+    for k, dt in enumerate(np.diff(time).tolist()):
+        state = truth[k].tolist()
+        factor[rows, columns] = model.noise_factor(state, (), dt)
+        truth[k + 1] = model.step(state, (), dt) + factor @ noise[k]
+    return truth
 
 
 def random_trajectory(rng: Generator, time: ArrayLike) -> Array:
