@@ -63,9 +63,10 @@ def find_spec(env_id: str) -> EnvSpec:
 def draw_episodes(
     env_id: str, env_kwargs: dict[str, Any], split: str, seed: int, episodes: int
 ) -> Recording:
-    """The episodes of a split."""
+    """The episodes of a split: of a real log at most as many as that part of it has."""
     scenario, _ = scenario_and_options(env_id, env_kwargs)
-    return scenario.sample(episode_rngs(split, seed, episodes))
+    recorded = scenario.recorded(split, episodes)
+    return recorded or scenario.sample(episode_rngs(split, seed, episodes))
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ class History:
     Attributes:
         time: (T,) the instants of the episode, s.
         truth, measured: true and measured positions (T, 3), or None.
+            All positions are east, north and up (see the scenario's `local_frame`).
         lasting, passing: faults that last the whole episode and those that do not.
         colours: of the passing faults' labels.
         steps: the times of the updates so far.
@@ -34,7 +35,10 @@ class History:
     def __init__(self, scenario: Any, recording: Recording, knobs: int) -> None:
         place = list(scenario.motion.position)
         self.time = recording.time
-        self.truth = None if recording.truth is None else recording.truth[0][:, place]
+        start = recording.mean[0][place]
+        self._origin, self._rotation = scenario.local_frame(start)
+        truth = recording.truth
+        self.truth = None if truth is None else self._local(truth[0][:, place])
         self.measured = measured_positions(scenario.sensor, recording.measurement[0])
         first, last = self.time[0], self.time[-1]
         faults = merged(recording.faults[0])
@@ -42,21 +46,26 @@ class History:
         self.passing = [fault for fault in faults if fault not in self.lasting]
         labels = sorted({fault.label for fault in self.passing})
         self.colours = dict(zip(labels, cycle(FAULT_COLOURS), strict=False))
-        rows = recording.factor[0][place]
-        self.centre, self.spread = recording.mean[0][place], rows @ rows.T
+        rows = self._rotation @ recording.factor[0][place]
+        self.centre, self.spread = self._local(start), rows @ rows.T
         size = len(recording.time)
         self._count = 0
         self._steps, self._error = np.empty((2, size))
         self._position, self._covariance = np.empty((size, 3)), np.empty((size, 3, 3))
         self._factors = np.empty((size, knobs))
 
+    def _local(self, position: Array) -> Array:
+        """Positions (..., 3) of the state's frame as east, north, up."""
+        return (position - self._origin) @ self._rotation.T
+
     def append(
         self, time: float, position: Array, covariance: Array, error: float, factors: Array
     ) -> None:
-        """Take in an update."""
+        """Take in an update; position and covariance are in the state's frame."""
         i = self._count
         self._steps[i], self._error[i], self._factors[i] = time, error, factors
-        self._position[i], self._covariance[i] = position, covariance
+        self._position[i] = position = self._local(position)
+        self._covariance[i] = self._rotation @ covariance @ self._rotation.T
         self._count += 1
         if np.all(np.isfinite(position)) and np.all(np.isfinite(covariance)):
             self.centre, self.spread = self._position[i], self._covariance[i]

@@ -29,7 +29,7 @@ SIZE, DPI = (12.0, 9.0), 100  # inches; 1200 x 900 pixels
 class Film:
     """Draws one episode as it unfolds.
 
-    Position components count as east, north and up of a local frame. Measurements are
+    Positions are drawn in the scenario's `local_frame`. Measurements are
     dots on the map where the sensor measures positions (see `measured_positions`).
 
     Args:

@@ -107,8 +107,8 @@ class Jamming:
         raised = np.ones((len(draft.time), 1))
         for _ in range(rng.integers(self.bursts[0], self.bursts[1], endpoint=True)):
             duration = rng.uniform(*self.duration)
-            factor = _log_uniform(rng, self.factor)
-            start = _draw_start(self.start, duration, draft, rng)
+            factor = log_uniform(rng, self.factor)
+            start = draw_start(self.start, duration, draft, rng)
             burst = draft.window(self.label, start, duration)
             raised[burst] = np.maximum(raised[burst], factor)
         draft.noise_factor *= raised
@@ -133,7 +133,7 @@ class SignalLoss:
 
     def apply(self, draft: Draft, rng: Generator) -> None:
         duration = rng.uniform(*self.duration)
-        start = _draw_start(self.start, duration, draft, rng)
+        start = draw_start(self.start, duration, draft, rng)
         draft.available[draft.window(self.label, start, duration)] = False
 
 
@@ -282,11 +282,13 @@ def check_start(fault: object) -> None:
         )
 
 
-def _log_uniform(rng: Generator, bounds: Range) -> float:
+def log_uniform(rng: Generator, bounds: Range) -> float:
+    """A number between positive bounds, evenly on a log scale."""
     return float(np.exp(rng.uniform(np.log(bounds[0]), np.log(bounds[1]))))
 
 
-def _draw_start(start: float | None, duration: float, draft: Draft, rng: Generator) -> float:
+def draw_start(start: float | None, duration: float, draft: Draft, rng: Generator) -> float:
+    """The given start, or one at which the duration still fits into the episode, s."""
     first, last = draft.time[0], draft.time[-1]
     drawn = rng.uniform(first, max(last - duration, first))
     return drawn if start is None else start

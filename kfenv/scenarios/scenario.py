@@ -107,6 +107,10 @@ class TrackingScenario(ABC):
         """Draw one episode from each generator."""
         return stack([self.episode(rng) for rng in rngs])
 
+    def recorded(self, split: str, episodes: int) -> Recording | None:
+        """At most so many episodes of a real log that are kept for a split; None if drawn."""
+        return None
+
     def episode(self, rng: Generator) -> Recording:
         """Draw one episode: truth, faults, measurement noise, initial estimate."""
         truth = self.trajectory(rng)
@@ -152,6 +156,19 @@ class TrackingScenario(ABC):
     def initial_mean(self, start: Array, rng: Generator) -> Array:
         """The initial estimate (n,), drawn about the truth (n,) at the first instant."""
         return start + self.initial_deviations * rng.standard_normal(len(start))
+
+    def local_frame(self, position: Array) -> tuple[Array, Array]:
+        """Where pictures are drawn: p becomes rotation (p - origin), east, north, up.
+
+        Here the states are in such a frame already.
+
+        Args:
+            position: (3,) in the state's frame, the middle of what is to be seen.
+
+        Returns:
+            Origin (3,) and rotation (3, 3).
+        """
+        return np.zeros(3), np.eye(3)
 
     def clean(
         self, kind: type[Draft], truth: Array, motion_inputs: Array | None = None,
