@@ -128,14 +128,17 @@ def knob_actions(
 
     Args:
         fading, process_noise: (B,) or one number.
-        channel_noise: (B, m) factors of the channels' noise deviation; the channels of
-            a group share its knob, which takes their root mean square.
+        channel_noise: (B, m) factors of the channels' noise deviation, NaN for channels
+            that did not arrive; the others of a group share its knob, which takes their
+            root mean square.
     """
     factors = {"fading": fading, "process_noise": process_noise}
     if channel_noise is not None:
         for group, channels in channels_of(briefing.sensor).items():
-            square = np.mean(channel_noise[:, channels] ** 2, axis=1)
-            factors[f"{group}_noise"] = np.sqrt(square)
+            square = channel_noise[:, channels] ** 2
+            count = np.sum(~np.isnan(square), axis=1)
+            mean = np.nansum(square, axis=1) / np.maximum(count, 1)
+            factors[f"{group}_noise"] = np.where(count > 0, np.sqrt(mean), 1.0)
     columns = [
         np.broadcast_to(factors.get(knob.name, 1.0), briefing.batch) for knob in briefing.knobs
     ]

@@ -8,6 +8,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -16,7 +17,10 @@ import numpy as np
 import kfenv  # noqa: F401  (registers the environments)
 from kfenv.filters.engine import Engine
 from kfenv.models.namespaces import scalar
+from kfenv.scenarios.gnss_tracking import GnssTracking
 from kfenv.scenarios.radar_tracking import RadarTracking
+from kfenv.scenarios.recording import Recording
+from kfenv.scenarios.scenario import TrackingScenario
 
 ENV_ID = "kfenv/RadarTracking-v0"
 FILTERS = 1024
@@ -57,6 +61,34 @@ def _best(repeat: int, function: Callable[[], Any]) -> float:
 
 def _engine_rows() -> list[Row]:
     scenario = RadarTracking(duration=5.0, faults="none")
+    run, steps, recording = _engine_run(scenario)
+    filterpy = _filterpy_filter(scenario, recording)
+    satellites = GnssTracking(duration=5.0, faults="none")
+    others = [_engine_run(replace(satellites, measurement_rate=rate))[0] for rate in (10.0, 1.0)]
+    # In turn, so that a drift of the machine's speed meets all.
+    ours, theirs, gnss = [], [], []
+    for _ in range(4):
+        ours.append(steps / _best(2, run))
+        gnss.append([steps / _best(2, other) for other in others])
+        if filterpy is not None:
+            theirs.append(len(recording.time) / _best(2, filterpy))
+    speed = max(ours)
+    every, tenth = np.max(gnss, axis=0)
+    if not theirs:
+        ratio = "FilterPy is not installed"
+    else:
+        ratio = f"{speed / max(theirs):,.0f} x FilterPy's UKF ({max(theirs):,.0f} steps/s)"
+    what = f"engine, n=9, m=3, variable turn, {FILTERS} filters"
+    part = f"{every / speed:.0%} and {tenth / speed:.0%} of the radar's"
+    return [
+        Row(what, f"{speed:,.0f} steps/s", ratio, "200 x FilterPy"),
+        Row("the same, n=11, m=24, GNSS: measured at every step, at every tenth",
+            f"{every:,.0f}, {tenth:,.0f} steps/s", part, ""),
+    ]  # fmt: skip
+
+
+def _engine_run(scenario: TrackingScenario) -> tuple[Callable[[], None], int, Recording]:
+    """A call that filters episodes of a scenario, the number of its steps, and the episodes."""
     recording = scenario.sample([np.random.default_rng(i) for i in range(FILTERS)])
     engine = Engine(scenario.motion, scenario.sensor)
     ones = np.ones(FILTERS)
@@ -68,20 +100,7 @@ def _engine_rows() -> list[Row]:
         )  # fmt: skip
 
     run()
-    filterpy = _filterpy_filter(scenario, recording)
-    # In turn, so that a drift of the machine's speed meets both.
-    ours, theirs = [], []
-    for _ in range(4):
-        ours.append(FILTERS * len(recording.time) / _best(2, run))
-        if filterpy is not None:
-            theirs.append(len(recording.time) / _best(2, filterpy))
-    speed = max(ours)
-    if not theirs:
-        ratio = "FilterPy is not installed"
-    else:
-        ratio = f"{speed / max(theirs):,.0f} x FilterPy's UKF ({max(theirs):,.0f} steps/s)"
-    what = f"engine, n=9, m=3, variable turn, {FILTERS} filters"
-    return [Row(what, f"{speed:,.0f} steps/s", ratio, "200 x FilterPy")]
+    return run, FILTERS * len(recording.time), recording
 
 
 def _filterpy_filter(scenario: RadarTracking, recording) -> Callable[[], None] | None:

@@ -25,8 +25,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Learn to tune an adaptive Kalman filter, and contest the classical ways of doing so.",
 )
-# The table of results needs 128 columns; a narrower terminal wraps it, but loses nothing.
-console = Console(width=max(Console().width, 128), soft_wrap=True)
+# The table of results needs 132 columns; a narrower terminal wraps it, but loses nothing.
+console = Console(width=max(Console().width, 132), soft_wrap=True)
 
 DEFAULT_AGENTS = (
     "innovation-fading", "innovation-fading-printed", "huber-gate", "innovation-noise",
@@ -39,6 +39,15 @@ Rate = Annotated[float | None, typer.Option(help="Measurements per second.")]
 Faults = Annotated[str | None, typer.Option(help="'random', 'paper', 'none', or a JSON object.")]
 Track = Annotated[
     Path | None, typer.Option(help="A real flight as the truth: CSV with t, lat, lon, alt_m.")
+]
+Rinex = Annotated[
+    tuple[Path, Path] | None,
+    typer.Option(
+        metavar="OBS NAV",
+        help="A real GPS log of a receiver that stood still: RINEX 2 or 3 observation and "
+        "navigation file. It is cut into windows: the first 30 % of its time for training and "
+        "tuning, 20 % for validation, the last half for the test, without overlap.",
+    ),
 ]
 Option = Annotated[
     list[str] | None,
@@ -83,12 +92,13 @@ def train(
     rate: Rate = None,
     faults: Faults = None,
     track: Track = None,
+    rinex: Rinex = None,
     option: Option = None,
     resume: Resume = False,
 ) -> None:
     """Train an agent (needs the extra 'train')."""
     with _complaints():
-        kwargs = _env_kwargs(rate, faults, track, option)
+        kwargs = _env_kwargs(rate, faults, track, rinex, option)
         _training()(
             env, algorithm=algo, steps=steps, seed=seed, output=output, env_kwargs=kwargs,
             config_path=config, resume=resume,
@@ -115,6 +125,7 @@ def evaluate(
     rate: Rate = None,
     faults: Faults = None,
     track: Track = None,
+    rinex: Rinex = None,
     option: Option = None,
     tuning_episodes: Annotated[
         int,
@@ -129,12 +140,13 @@ def evaluate(
     """Contest agents on the same unseen episodes: table, figures, results.json.
 
     Agents: fixed, fixed-tuned, innovation-fading, innovation-fading-printed, huber-gate,
-    innovation-noise, clairvoyant, random. Without --agent all of them take part.
+    innovation-noise, clairvoyant, random. Without --agent all of them take part (but the
+    clairvoyant in a real log, whose noise nobody knows).
     """
     with _complaints():
-        kwargs = _env_kwargs(rate, faults, track, option)
+        kwargs = _env_kwargs(rate, faults, track, rinex, option)
         _contest(
-            env, kwargs, tuple(agent or DEFAULT_AGENTS), episodes, seed, tuning_episodes,
+            env, kwargs, tuple(agent or _default_agents(kwargs)), episodes, seed, tuning_episodes,
             tuning_trials, output, processes, resume,
         )  # fmt: skip
 
@@ -271,14 +283,22 @@ def _contest(
     console.print(f"Results: {output / 'results.json'}")
 
 
+def _default_agents(kwargs: dict[str, Any]) -> tuple[str, ...]:
+    return tuple(name for name in DEFAULT_AGENTS if name != "clairvoyant" or "rinex" not in kwargs)
+
+
 def _results_table(results: list[dict[str, Any]], where: str = "unseen episodes") -> Table:
     tuned = "difference_to_fixed_tuned" in results[0]
+    notes = ["lost: tracks lost, %; ANEES: 1 if consistent, lost tracks left out"]
+    if "rinex" in results[0]["env_kwargs"]:
+        where = f"{results[0]['episodes']} windows of a real log, kept from training and tuning"
+        notes.append("windows of one log resemble each other, so intervals are too narrow")
     table = Table(
         "agent", "median", "mean", "std", "p95", "lost", "ANEES", "below fixed, %",
         *(("vs fixed-tuned, m",) if tuned else ()),
         box=SIMPLE_HEAD,
         title=f"Position RMSE on {where}, m (medians with 95 % intervals)",
-        caption="lost: tracks lost, %; ANEES: 1 if consistent, lost tracks left out",
+        caption="; ".join(notes),
     )  # fmt: skip
     for column in table.columns:
         column.no_wrap = True
@@ -290,18 +310,23 @@ def _results_table(results: list[dict[str, Any]], where: str = "unseen episodes"
             r["agent"],
             *(_short(r[key]) for key in ("rmse_median", "rmse", "rmse_std", "rmse_p95")),
             f"{100.0 * r['track_loss']:.0f}",
-            "-" if r["anees"] is None else _short(r["anees"]),
+            "-" if r["anees"] is None else "<0.01" if r["anees"] < 0.01 else _short(r["anees"]),
             f"{better[0]:+.0f} ({better[1]:+.0f}, {better[2]:+.0f})",
         ]
         if tuned:
             low, high = r["difference_ci_low"], r["difference_ci_high"]
-            row.append(f"{r['difference_to_fixed_tuned']:+.0f} ({low:+.0f}, {high:+.0f})")
+            middle = r["difference_to_fixed_tuned"]
+            row.append(f"{_signed(middle)} ({_signed(low)}, {_signed(high)})")
         table.add_row(*row)
     return table
 
 
 def _short(number: float) -> str:
     return f"{number:.3g}" if abs(number) < 1000.0 or abs(number) >= 1e5 else f"{number:.0f}"
+
+
+def _signed(metres: float) -> str:
+    return f"{metres:+.0f}" if abs(metres) >= 9.95 else f"{metres:+.1f}"
 
 
 @contextmanager
@@ -317,8 +342,9 @@ def _progress() -> Iterator[Progress]:
 
 
 def _env_kwargs(
-    rate: float | None, faults: str | None, track: Path | None, option: list[str] | None
-) -> dict[str, Any]:
+    rate: float | None, faults: str | None, track: Path | None, rinex: tuple[Path, Path] | None,
+    option: list[str] | None,
+) -> dict[str, Any]:  # fmt: skip
     """The environment's keywords; complains of an option that is no KEY=VALUE."""
     kwargs: dict[str, Any] = {}
     for item in option or ():
@@ -332,6 +358,8 @@ def _env_kwargs(
         kwargs["faults"] = _json_or_text(faults)
     if track is not None:
         kwargs["track"] = str(track.resolve())
+    if rinex is not None:
+        kwargs["rinex"] = [str(path.resolve()) for path in rinex]
     return kwargs
 
 

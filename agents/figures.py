@@ -40,7 +40,8 @@ def _distributions(results: Sequence[dict[str, Any]], output: Path) -> Figure:
     for result in _ranked(results):
         rmse = np.sort(read_scores(output, result["given_as"]).rmse)
         share = np.arange(1, len(rmse) + 1) / len(rmse)
-        label = f"{result['agent']}  ({result['rmse_median']:.0f} m)"
+        median = result["rmse_median"]
+        label = f"{result['agent']}  ({median:.{0 if median >= 10.0 else 1}f} m)"
         axes.step(rmse, share, where="post", color=_colour(result, results), label=label, lw=1.6)
     axes.set_xscale("log")
     axes.set_xlabel("position RMSE of an episode, m")

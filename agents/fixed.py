@@ -34,7 +34,11 @@ class FixedTuned(Agent):
 
 
 class Clairvoyant(Agent):
-    """Knows the deviation each measurement's noise was drawn with: the bound for noise tuning."""
+    """Knows the deviation each measurement's noise was drawn with: the bound for noise tuning.
+
+    The deviation is each channel's own: errors common to several channels, and constant
+    ones, are not in it.
+    """
 
     parameters = (Parameter("process_noise", 0.05, 200.0, 1.0),)
     clairvoyant = True
@@ -48,7 +52,9 @@ class Clairvoyant(Agent):
         super().reset(briefing)
         if briefing.recording is None or briefing.recording.true_noise is None:
             raise ValueError("The clairvoyant needs a recording that knows its true noise.")
-        self._ratio = briefing.recording.true_noise / briefing.recording.noise
+        recording = briefing.recording
+        ratio = recording.true_noise / recording.noise
+        self._ratio = np.where(np.isnan(recording.measurement), np.nan, ratio)
         self._index = 0
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:

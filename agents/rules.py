@@ -87,7 +87,7 @@ class HuberGate(Agent):
         counted = np.where(rejected, self._rejections + 1, 0)
         arrived = ~np.isnan(info["innovation"])
         self._rejections = np.where(arrived, counted, self._rejections)
-        factor = np.where(rejected, REJECTED, factor)
+        factor = np.where(rejected, REJECTED, np.where(arrived, factor, np.nan))
         return knob_actions(self.briefing, 1.0, self.values["process_noise"], factor)
 
 
@@ -120,7 +120,7 @@ class InnovationNoise(Agent):
         self._mean_square = np.where(arrived, before + step, self._mean_square)
         noise = self._noise(before + step, explained, told)
         noise = np.maximum(noise, squared / gate - explained)
-        factor = np.where(arrived, np.sqrt(noise / told), 1.0)
+        factor = np.where(arrived, np.sqrt(noise / told), np.nan)
         return knob_actions(self.briefing, 1.0, self.values["process_noise"], factor)
 
     @staticmethod

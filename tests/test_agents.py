@@ -6,6 +6,7 @@ from kfenv.agents.agent import Briefing, channels_of, knob_actions
 from kfenv.agents.registry import AGENTS, make_agent
 
 from kfenv.envs.knobs import actions_for, knobs_of
+from kfenv.models.gnss.pseudorange import pseudoranges
 from kfenv.models.radar import radar
 from kfenv.scenarios.radar_tracking import RadarTracking
 
@@ -13,7 +14,7 @@ KNOBS = knobs_of(radar().groups)
 
 
 def briefing(batch=1, steps=3, noise=1.0, true_noise=1.0):
-    scenario = RadarTracking(duration=steps / 10.0)
+    scenario = RadarTracking(duration=steps / 10.0, faults="none")
     recording = scenario.sample([np.random.default_rng(i) for i in range(batch)])
     shape = recording.noise.shape
     object.__setattr__(recording, "noise", np.full(shape, noise))
@@ -51,6 +52,18 @@ def test_channels_of_a_group_share_its_knob():
     assert channels_of(radar()) == {"range": [0], "azimuth": [1], "elevation": [2]}
     actions = knob_actions(briefing(), 1.0, 1.0, np.array([[2.0, 3.0, 4.0]]))
     np.testing.assert_allclose(factors(actions)[0], [1.0, 1.0, 2.0, 3.0, 4.0])
+
+
+def test_a_group_listens_to_the_channels_that_arrived():
+    sensor = pseudoranges()
+    recording = briefing(batch=2).recording
+    asked = Briefing(knobs_of(sensor.groups), sensor, 2, 0, recording)
+    noise = np.full((2, 24), np.nan)
+    noise[0, :3], noise[0, 14] = (1.0, 5.0, 7.0), 4.0  # the other filter heard nothing
+    actions = knob_actions(asked, 1.0, 1.0, noise)
+    high = np.array([knob.high for knob in asked.knobs])
+    np.testing.assert_allclose(high ** actions[0], [1.0, 1.0, 5.0, 4.0])
+    assert not actions[1].any()
 
 
 def test_fixed_is_the_nominal_filter():

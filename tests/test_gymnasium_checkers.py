@@ -7,7 +7,6 @@ import warnings
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils import env_checker
 from gymnasium.utils.env_checker import check_env
 from rollouts import every_environment
 
@@ -21,21 +20,6 @@ def warnings_are_errors():
         # the machine's lack of a screen, which the checker of render_mode="human" meets
         warnings.filterwarnings("ignore", ".*opens no window")
         yield
-
-
-@pytest.fixture(autouse=True)
-def nan_equals_nan(monkeypatch):
-    """In info NaN stands for what did not arrive; the checker's == would find it unequal."""
-    compare = env_checker.data_equivalence
-
-    def told(data):
-        if isinstance(data, dict):
-            return {key: told(value) for key, value in data.items()}
-        return np.nan_to_num(data, nan=-1e30) if isinstance(data, float | np.ndarray) else data
-
-    monkeypatch.setattr(
-        env_checker, "data_equivalence", lambda a, b, exact=False: compare(told(a), told(b), exact)
-    )
 
 
 @every_environment

@@ -191,7 +191,7 @@ def test_a_decision_concerns_one_fix():
     env = gym.make(INERTIAL, duration=3.0, faults="none").unwrapped
     heard = play(env, np.zeros((99, 5)), seed=0)
     assert len(heard) == 1 + 31 and heard[-1][3]
-    pending = np.array([step[-1]["innovation"] for step in heard[:-1]])
+    pending = np.array([step[-1]["innovation_variance"] for step in heard[:-1]])
     assert np.isfinite(pending).all()
     np.testing.assert_allclose([step[-1]["time"] for step in heard[1:4]], [0.09, 0.19, 0.29])
 

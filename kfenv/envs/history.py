@@ -24,6 +24,7 @@ class History:
     Attributes:
         time: (T,) the instants of the episode, s.
         truth, measured: true and measured positions (T, 3), or None.
+            All positions are east, north and up (see the scenario's `local_frame`).
         lasting, passing: faults that last the whole episode and those that do not.
         colours: of the passing faults' labels.
         stride: filter steps from one measurement to the next.
@@ -34,11 +35,12 @@ class History:
 
     def __init__(self, scenario: Any, recording: Recording, knobs: int) -> None:
         place = list(scenario.motion.position)
-        self._axes, self.stride = local_axes(scenario), scenario.steps_per_measurement
+        self.stride = scenario.steps_per_measurement
         self.time = recording.time
-        self.truth = None
-        if recording.truth is not None:
-            self.truth = scenario.local_position(recording.truth[0])
+        start = recording.mean[0][place]
+        self._origin, self._rotation = scenario.local_frame(start)
+        truth = recording.truth
+        self.truth = None if truth is None else self._local(truth[0][:, place])
         self.measured = measured_positions(scenario.sensor, recording.measurement[0])
         first, last = self.time[0], self.time[-1]
         faults = merged(recording.faults[0])
@@ -46,22 +48,26 @@ class History:
         self.passing = [fault for fault in faults if fault not in self.lasting]
         labels = sorted({fault.label for fault in self.passing})
         self.colours = dict(zip(labels, cycle(FAULT_COLOURS), strict=False))
-        rows = self._axes @ recording.factor[0][place]
-        self.centre, self.spread = scenario.local_position(recording.mean[0]), rows @ rows.T
+        rows = self._rotation @ recording.factor[0][place]
+        self.centre, self.spread = self._local(start), rows @ rows.T
         size = len(recording.time)
         self._count = 0
         self._steps, self._error = np.empty((2, size))
         self._position, self._covariance = np.empty((size, 3)), np.empty((size, 3, 3))
         self._factors = np.empty((size, knobs))
 
+    def _local(self, position: Array) -> Array:
+        """Positions (..., 3) of the state's frame as east, north, up."""
+        return (position - self._origin) @ self._rotation.T
+
     def append(
         self, time: float, position: Array, covariance: Array, error: float, factors: Array
     ) -> None:
-        """Take in an update; the covariance is along the state's own axes."""
+        """Take in an update; position and covariance are in the state's frame."""
         i = self._count
-        covariance = self._axes @ covariance @ self._axes.T
         self._steps[i], self._error[i], self._factors[i] = time, error, factors
-        self._position[i], self._covariance[i] = position, covariance
+        self._position[i] = position = self._local(position)
+        self._covariance[i] = self._rotation @ covariance @ self._rotation.T
         self._count += 1
         if np.all(np.isfinite(position)) and np.all(np.isfinite(covariance)):
             self.centre, self.spread = self._position[i], self._covariance[i]
@@ -91,15 +97,6 @@ class History:
         if self.measured is None or not len(self):
             return np.empty((0, 3))
         return self.measured[: self.now + 1]
-
-
-def local_axes(scenario: Any) -> Array:
-    """The matrix (3, 3) that turns a small shift of the state's position to east, north, up."""
-    n, place = len(scenario.motion.states), list(scenario.motion.position)
-    states = np.zeros((4, n))
-    states[np.arange(3), place] = 1.0
-    local = scenario.local_position(states)
-    return (local[:3] - local[3]).T
 
 
 def measured_positions(sensor: Sensor, measurement: Array) -> Array | None:

@@ -31,10 +31,10 @@ class InsGnssEnv(TrackingEnv):
 
     ``info`` holds, after ``reset`` and every ``step``: ``time`` (s) of the filter step made
     last, its ``estimate`` (9 states: position and velocity north, east and down in m and
-    m/s; roll, pitch and yaw in rad), ``position_error`` (m) and ``nis`` (NaN where no fix
-    came); of the measurement
-    that is pending ``innovation`` and ``innovation_variance`` (m, m/s or rad, NaN in channels
-    that are missing and at the episode's end) and ``noise`` (the standard deviations
+    m/s; roll, pitch and yaw in rad), ``position_error`` (m) and ``nis`` (0 where no fix
+    came); of the measurement that is pending ``innovation`` and ``innovation_variance`` (m,
+    m/s or rad, and their squares; zero and infinite in channels that are missing and at the
+    episode's end) and ``noise`` (the standard deviations
     that the filter is told); where the truth is known ``truth`` and ``nees`` (of the
     position, 3 degrees of freedom); after a step ``knobs``, the factors applied.
 

@@ -29,7 +29,7 @@ SIZE, DPI = (12.0, 9.0), 100  # inches; 1200 x 900 pixels
 class Film:
     """Draws one episode as it unfolds.
 
-    Position components count as east, north and up of a local frame. Measurements are
+    Positions are drawn in the scenario's `local_frame`. Measurements are
     dots on the map where the sensor measures positions (see `measured_positions`).
 
     Args:
@@ -55,7 +55,7 @@ class Film:
 
     def add(self, core: Core, info: dict[str, Any]) -> None:
         """Take in a step of an environment: its core (of one filter) and its info."""
-        position = self._scenario.local_position(info["estimate"])
+        position = info["estimate"][list(self._scenario.motion.position)]
         covariance = core.position_covariance()[0]
         factors = core.factors[0, core.knob_place]
         self.append(info["time"], position, covariance, info["position_error"], factors)
@@ -67,8 +67,7 @@ class Film:
 
         Args:
             time: s.
-            position: posterior estimate (3,), east, north and up.
-            covariance: of the position (3, 3), along the state's own axes.
+            position, covariance: posterior estimate (3,) and its covariance (3, 3).
             error: distance to the true position, m; NaN where the truth is unknown.
             factors: those of the knobs.
         """

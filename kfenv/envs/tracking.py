@@ -100,7 +100,7 @@ class TrackingEnv(gym.Env):
             self._film.close()
 
     def _info(self) -> dict[str, Any]:
-        info = self.core.information()
+        info = _without_nan(self.core.information())
         return {
             key: float(value[0]) if value.ndim == 1 else value[0] for key, value in info.items()
         }
@@ -182,7 +182,7 @@ class TrackingVectorEnv(VectorEnv):
                 self._rngs[i], self._seeds[i] = seeding.np_random(seeds[i])
                 self._episodes[i] = 0
         self._begin(mask)
-        return self.core.observation(), _vector_info(self.core.information(), mask)
+        return self.core.observation(), _vector_info(_without_nan(self.core.information()), mask)
 
     def step(
         self, actions: NDArray
@@ -218,7 +218,9 @@ class TrackingVectorEnv(VectorEnv):
             self._over = over
             if due.any():
                 self._begin(due)
-        infos.update(_vector_info(self.core.information(), np.ones(self.num_envs, bool)))
+        infos.update(
+            _vector_info(_without_nan(self.core.information()), np.ones(self.num_envs, bool))
+        )
         begun_now = over if self.autoreset_mode == AutoresetMode.SAME_STEP else due
         infos.update(self._knobs(~begun_now))
         return self.core.observation(), reward, lost, ended, infos
@@ -236,7 +238,7 @@ class TrackingVectorEnv(VectorEnv):
         last = self.core.observation()
         for i in np.flatnonzero(over):
             observations[i] = last[i]
-        info = _vector_info(self.core.information(), over)
+        info = _vector_info(_without_nan(self.core.information()), over)
         info.update(self._knobs(over.copy()))
         return {
             "final_obs": observations,
@@ -301,6 +303,18 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
             return known
     names = [known.name.lower() for known in AutoresetMode]
     raise ValueError(unknown("autoreset_mode", mode, names))
+
+
+def _without_nan(info: dict[str, Any]) -> dict[str, Any]:
+    """A missing channel tells zero with infinite variance; if all are missing the NIS is zero.
+
+    Checkers compare infos, and NaN equals nothing.
+    """
+    missing = np.isnan(info["innovation_variance"])
+    info["innovation"][missing] = 0.0
+    info["innovation_variance"][missing] = np.inf
+    info["nis"][np.isnan(info["nis"]) & np.isfinite(info["estimate"]).all(axis=1)] = 0.0
+    return info
 
 
 def _vector_info(arrays: dict[str, Any], mask: NDArray[np.bool_]) -> dict[str, Any]:

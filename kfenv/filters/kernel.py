@@ -240,6 +240,24 @@ def _correct_lanes(w):
 
 
 @njit(**FLOATING_POINT)
+def _anything_arrived(count):
+    """Whether any lane has a measurement: filters may predict more often than they update."""
+    for lane in range(LANES):
+        if count[0, lane] > 0.5:
+            return True
+    return False
+
+
+@njit(**FLOATING_POINT)
+def _keep_lanes(w):
+    """Where no lane has a measurement: what `_correct_lanes` gives then, for nothing."""
+    for i in range(N):
+        store(w.posterior, i, load(w.predicted, i))
+        for j in range(i + 1):
+            store(w.S, i * N + j, load(w.L, i * N + j))
+
+
+@njit(**FLOATING_POINT)
 def _gather(source, first, target):
     """Lane l of the target takes row first + l of the source (B, K); the last row fills up."""
     last = source.shape[0] - 1
@@ -354,9 +372,14 @@ def update(mean, root, noise, scales, s, measurement, deviation, scratch, correc
         _gather(s, first, w.s)
         _gather_measurement(measurement, deviation, first, w)
         _add_noise(w.S, load(w.scales, 0), w.Q, load(w.scales, 1), w.L, w.A)
-        _innovate_lanes(w)
+        heard = _anything_arrived(w.count)
+        if heard:
+            _innovate_lanes(w)
         if correct:
-            _correct_lanes(w)
+            if heard:
+                _correct_lanes(w)
+            else:
+                _keep_lanes(w)
             _scatter(w.posterior, first, status, new_mean)
             _scatter_factor(w.S, first, status, new_factor)
         else:
@@ -408,8 +431,11 @@ def run(mean, factor, dt, u, s, measurement, deviation, scales, scratch, means, 
             _gather(s[:, t], first, w.s)
             _gather_measurement(measurement[:, t], deviation[:, t], first, w)
             _add_noise(w.S, load(w.scales, 0), w.Q, load(w.scales, 1), w.L, w.A)
-            _innovate_lanes(w)
-            _correct_lanes(w)
+            if _anything_arrived(w.count):
+                _innovate_lanes(w)
+                _correct_lanes(w)
+            else:
+                _keep_lanes(w)
             for lane in range(lanes):
                 b = first + lane
                 if status[b] != OK:

@@ -151,9 +151,9 @@ class InsGnss(TrackingScenario):
         position, velocity, attitude = self.gnss_noise
         return np.repeat([position, velocity, radians(attitude)], 3)
 
-    def local_position(self, states: Array) -> Array:
-        """East, north and up (..., 3), m, of states (..., 9)."""
-        return states[..., [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
+    def local_frame(self, position: Array) -> tuple[Array, Array]:
+        """East, north and up of the same origin."""
+        return np.zeros(3), np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
     def recorded(self, split: str, episodes: int) -> Recording | None:
         """The windows of a log that are kept for validation or test, None for other episodes.

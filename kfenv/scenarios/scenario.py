@@ -106,10 +106,6 @@ class TrackingScenario(ABC):
         """Filter steps from one measurement to the next, faults aside."""
         return 1
 
-    def local_position(self, states: Array) -> Array:
-        """East, north and up (..., 3), m, of states (..., n), for drawings."""
-        return states[..., list(self.motion.position)]
-
     @property
     def initial_deviations(self) -> Array:
         """Standard deviations (n,) of the initial estimate."""
@@ -168,6 +164,19 @@ class TrackingScenario(ABC):
     def initial_mean(self, start: Array, rng: Generator) -> Array:
         """The initial estimate (n,), drawn about the truth (n,) at the first instant."""
         return start + self.initial_deviations * rng.standard_normal(len(start))
+
+    def local_frame(self, position: Array) -> tuple[Array, Array]:
+        """Where pictures are drawn: p becomes rotation (p - origin), east, north, up.
+
+        Here the states are in such a frame already.
+
+        Args:
+            position: (3,) in the state's frame, the middle of what is to be seen.
+
+        Returns:
+            Origin (3,) and rotation (3, 3).
+        """
+        return np.zeros(3), np.eye(3)
 
     def clean(
         self, kind: type[Draft], truth: Array, motion_inputs: Array | None = None,

@@ -1,0 +1,333 @@
+"""An aircraft located by GNSS pseudoranges and their rates under faults (SPEC 3.4, 4.3, 7.1 E4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from datetime import datetime, timedelta
+from functools import cached_property, lru_cache
+from os import PathLike
+from typing import ClassVar
+
+import numpy as np
+import pymap3d
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from kfenv.checks import is_number
+from kfenv.models.constant_acceleration import constant_acceleration
+from kfenv.models.gnss.almanac import baseline_constellation, read_yuma
+from kfenv.models.gnss.atmosphere import WET_DENSITY, klobuchar, niell
+from kfenv.models.gnss.clock import with_clock
+from kfenv.models.gnss.orbits import GPS_EPOCH, Constellation, geodetic, gps_seconds, look_angles
+from kfenv.models.gnss.pseudorange import CHANNELS, pseudoranges
+from kfenv.models.gnss.receiver import CLOCK_OFFSET, RATE_NOISE, range_deviation
+from kfenv.models.model import Motion, Sensor
+from kfenv.models.variable_turn import variable_turn
+from kfenv.scenarios.faults import Fault, Jamming
+from kfenv.scenarios.gnss_faults import (
+    GNSS_FAULTS,
+    ClockDegradation,
+    GnssDraft,
+    MultipathBurst,
+    PllFailure,
+    RangeRamp,
+    RangeStep,
+    ReceiverMisreport,
+)
+from kfenv.scenarios.gnss_log import GnssLog, log_of
+from kfenv.scenarios.recording import Recording
+from kfenv.scenarios.satellite_channels import assign_channels, by_channel
+from kfenv.scenarios.scenario import TrackingScenario
+from kfenv.scenarios.tracks import SmoothTrack, from_radar, load_track, smooth_track
+from kfenv.scenarios.trajectories import MAX_DURATION, paper_trajectory, random_trajectory
+
+Array = NDArray[np.float64]
+
+DURATION, PAPER_DURATION, LOG_DURATION = 120.0, 250.0, 300.0  # s, unless told
+PAPER_TIME = timedelta(hours=5)  # of the day: six satellites above 10 deg for 250 s
+CLOCK_DENSITY = 0.1  # (m/s)^2/s, of truth and filter
+DRIFT_DEVIATION = 5.0  # m/s
+# Broadcast ionosphere of a published worked example (seconds per semicircle^n).
+ALPHA, BETA = (3.82e-8, 1.49e-8, -1.79e-7, 0.0), (1.43e5, 0.0, -3.28e5, 1.13e5)
+UNSEEN = np.pi / 2.0  # elevation told where a channel has no satellite
+
+
+@dataclass(frozen=True)
+class GnssTracking(TrackingScenario):
+    """The scenario of ``kfenv/GnssTracking-v0``; see its page for the fields.
+
+    The state is in the earth-fixed frame, in which the velocities of the satellites are
+    given too. A channel follows one satellite for as long as it is visible (see
+    `kfenv.scenarios.satellite_channels`).
+
+    Attributes:
+        measurement_rate: measurements per second; `rate` is a multiple of it.
+        place: latitude and longitude (deg) and height (m) of the flights' origin.
+        date: the day, or the instant at which each episode begins (GPS time).
+        almanac: path of a YUMA file; None for the baseline constellation.
+        mask: elevation above which satellites are used, deg.
+        ionosphere: share of the ionospheric delay that the corrections leave.
+        track: path of a real flight's CSV file, flown at its own place.
+        rinex: paths of a real log's observation and navigation file, in place of all that
+            is simulated; the receiver stood still. The log sets `rate`.
+    """
+
+    duration: float | None = None
+    rate: float = 10.0
+    faults: str | Mapping[str, Mapping[str, object]] | Sequence[Fault] = "random"
+    measurement_rate: float = 1.0
+    place: tuple[float, float, float] = (45.2, 7.6, 0.0)
+    date: str = "2016-02-29"
+    almanac: str | None = None
+    mask: float = 10.0
+    ionosphere: float = 0.0
+    track: str | None = None
+    rinex: Sequence[str] | None = None
+
+    name: ClassVar[str] = "GnssTracking"
+    known_faults: ClassVar[Mapping[str, type]] = GNSS_FAULTS
+    presets: ClassVar[Mapping[str, tuple[Fault, ...]]] = {
+        "random": (
+            Jamming(bursts=(0, 2)), ClockDegradation(), PllFailure(), RangeStep(), RangeRamp(),
+            MultipathBurst(), ReceiverMisreport(),
+        ),
+        "paper": (
+            ClockDegradation(duration=(30.0, 30.0), range_error=(150.0, 150.0), start=70.0),
+            PllFailure(duration=(15.0, 15.0), start=150.0),
+        ),
+        "none": (),
+    }  # fmt: skip
+    initial_deviation: ClassVar[tuple[float, ...]] = (50.0, 20.0, 3.0)
+    error_scale: ClassVar[float] = 10.0
+
+    def __post_init__(self) -> None:
+        if self.duration is None:
+            duration = PAPER_DURATION if self.faults == "paper" else DURATION
+            duration = duration if self.rinex is None else LOG_DURATION
+            object.__setattr__(self, "duration", duration)
+        if self.log is not None:
+            object.__setattr__(self, "rate", 1.0 / self.log.step)
+        super().__post_init__()
+        if self.log is not None:
+            self._check_log()
+            return
+        self._check_measurement_rate()
+        self._check_place()
+        _ = _parsed(self.date), self._constellation  # complain
+        if not is_number(self.mask) or not 0.0 <= self.mask < 90.0:
+            raise ValueError(
+                f"mask must be an elevation in degrees from 0 to below 90, got {self.mask!r}."
+            )
+        if not is_number(self.ionosphere) or not -1.0 <= self.ionosphere <= 1.0:
+            raise ValueError(
+                "ionosphere must be the share of the delay that is left, a number between -1 "
+                f"and 1, got {self.ionosphere!r}."
+            )
+        self._check_flight()
+
+    def _check_measurement_rate(self) -> None:
+        every = self.rate / self.measurement_rate if is_number(self.measurement_rate) else 0.5
+        if not every >= 1.0 or abs(every - round(every)) > 1e-9:
+            raise ValueError(
+                f"measurement_rate must divide rate = {self.rate:g} (filter steps per second), "
+                f"got {self.measurement_rate!r}."
+            )
+
+    def _check_place(self) -> None:
+        place = self.place
+        right = isinstance(place, Sequence) and not isinstance(place, str) and len(place) == 3
+        if not (right and all(is_number(value) for value in place) and abs(place[0]) <= 90.0):
+            raise ValueError(
+                f"place must be (latitude, longitude, height) in degrees and metres, got {place!r}."
+            )
+
+    def _check_log(self) -> None:
+        for item in fields(self):
+            simulated = item.name not in ("duration", "rate", "rinex")
+            if simulated and getattr(self, item.name) != item.default:
+                raise ValueError(f"{item.name} is for simulated episodes: leave it out with rinex.")
+        self.log.random_starts([], self.duration, "tuning")  # complains
+
+    def _check_flight(self) -> None:
+        if self.track is not None:
+            if not isinstance(self.track, str | PathLike):
+                raise ValueError(f"track must be the path of a CSV file, got {self.track!r}.")
+            _flight(self.track).random_start(np.random.default_rng(0), self.duration)  # complains
+        elif self.faults != "paper" and self.duration > MAX_DURATION:
+            raise ValueError(
+                f"A random flight lasts at most {MAX_DURATION:g} s, got duration="
+                f"{self.duration!r}: run more episodes instead."
+            )
+
+    @cached_property
+    def motion(self) -> Motion:
+        """Variable turn, white jerk of 1 m^2/s^5, and a clock of 0.1 (m/s)^2/s.
+
+        Constant acceleration for a real log: a receiver at rest has no turn rate.
+        """
+        moves = variable_turn(1.0) if self.rinex is None else constant_acceleration(1.0)
+        return with_clock(moves, CLOCK_DENSITY)
+
+    @cached_property
+    def sensor(self) -> Sensor:
+        """Twelve pseudoranges and their rates."""
+        return pseudoranges()
+
+    @property
+    def initial_deviations(self) -> Array:
+        """Position, velocity and acceleration along each axis, clock bias and drift."""
+        return np.array([*self.initial_deviation * 3, round(CLOCK_OFFSET), DRIFT_DEVIATION])
+
+    @cached_property
+    def log(self) -> GnssLog | None:
+        """The real log, if there is one."""
+        return None if self.rinex is None else log_of(self.rinex)
+
+    def sample(self, rngs: Sequence[Generator]) -> Recording:
+        """Draw one episode from each generator: of a log, a window of its first part."""
+        if self.log is None:
+            return super().sample(rngs)
+        starts = self.log.random_starts(rngs, self.duration, "tuning")
+        return self.log.recording(starts, self.duration)
+
+    def recorded(self, split: str, episodes: int) -> Recording | None:
+        """The windows of a log that are kept for validation or test, None for other episodes.
+
+        Raises:
+            ValueError: if the log is too short for two of them.
+        """
+        if self.log is None or split == "tuning":
+            return None
+        return self.log.recording(self.log.starts(self.duration, split)[:episodes], self.duration)
+
+    @cached_property
+    def _constellation(self) -> Constellation:
+        if self.almanac is None:
+            return baseline_constellation()
+        return read_yuma(self.almanac, near=_parsed(self.date)).usable()
+
+    def trajectory(self, rng: Generator) -> Array:
+        """Truth (T, 11): trajectory B in the published case, the track, or a random flight."""
+        place = self.place
+        if self.track is not None:
+            flight = _flight(self.track)
+            place = flight.origin
+            start = flight.random_start(rng, self.duration)
+            local = from_radar(flight, place, start + self.time)
+        elif self.faults == "paper":
+            local = paper_trajectory("B", self.time)
+        else:
+            local = random_trajectory(rng, self.time)
+        return np.hstack([_earth_fixed(local, place), self._clock(rng)])
+
+    def _clock(self, rng: Generator) -> Array:
+        """Bias and drift (T, 2) of the receiver's clock: what `with_clock` assumes."""
+        dt, steps = 1.0 / self.rate, len(self.time) - 1
+        covariance = [[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]]
+        root = np.linalg.cholesky(CLOCK_DENSITY * np.array(covariance))
+        first = np.array([CLOCK_OFFSET, DRIFT_DEVIATION]) * rng.standard_normal(2)
+        noise = rng.standard_normal((steps, 2)) @ root.T
+        drift = np.cumsum(np.append(first[1], noise[:, 1]))
+        bias = np.cumsum(np.append(first[0], noise[:, 0] + dt * drift[:-1]))
+        return np.stack([bias, drift], axis=1)
+
+    def draft(self, truth: Array, rng: Generator) -> GnssDraft:
+        """The clean episode: satellites in view, and the delays that the corrections leave."""
+        measured = slice(None, None, round(self.rate / self.measurement_rate))
+        time = self._first_instant(rng) + self.time[measured]
+        receiver = truth[measured, list(self.motion.position)]
+        position, velocity = self._constellation.seen_from(receiver, time)
+        elevation, azimuth = look_angles(receiver, position)
+        channel = assign_channels(elevation > np.radians(self.mask), elevation)
+        delay = self._delay(receiver, elevation, azimuth, time, rng)
+        steps = len(self.time)
+        satellite = np.full((steps, CHANNELS), -1)
+        satellite[measured] = channel
+        seen_at = np.full((steps, CHANNELS), UNSEEN)
+        seen_at[measured] = by_channel(elevation, channel, UNSEEN)
+        inputs = np.zeros((steps, 6 * CHANNELS))
+        states = by_channel(np.concatenate([position, velocity], axis=-1), channel, 0.0)
+        inputs[measured] = states.reshape(len(time), -1)
+        draft = self.clean(
+            GnssDraft, truth, sensor_inputs=inputs, satellite=satellite, elevation=seen_at
+        )
+        draft.exact[measured, :CHANNELS] += by_channel(delay, channel, 0.0)
+        draft.available &= np.tile(satellite >= 0, 2)
+        return draft
+
+    def _first_instant(self, rng: Generator) -> float:
+        """GPS time at which an episode begins: drawn from the day, unless it is told."""
+        drawn = rng.uniform(0.0, 86_400.0)
+        if not _is_day(self.date):
+            drawn = 0.0
+        elif self.faults == "paper":
+            drawn = PAPER_TIME.total_seconds()
+        return gps_seconds(_parsed(self.date)) + drawn
+
+    def _delay(
+        self, receiver: Array, elevation: Array, azimuth: Array, time: Array, rng: Generator
+    ) -> Array:
+        """What is left (E, K) of troposphere and ionosphere once the standard ones are taken off.
+
+        The wet delay walks away from the standard one; a share of the ionosphere stays.
+        """
+        latitude, longitude, height = (value[:, None] for value in geodetic(receiver))
+        above = np.maximum(elevation, np.radians(3.0))  # lower ones are not used
+        day = _parsed(self.date).timetuple().tm_yday
+        _, mapping = niell(above, latitude, height, day)
+        walk = np.sqrt(WET_DENSITY / self.measurement_rate) * rng.standard_normal(len(time))
+        delay = mapping * np.cumsum(walk)[:, None]
+        if self.ionosphere:
+            delay += self.ionosphere * klobuchar(
+                ALPHA, BETA, latitude, longitude, above, azimuth, time[:, None]
+            )
+        return delay
+
+    def deviations(self, draft: GnssDraft) -> tuple[Array, Array]:
+        """Code noise, multipath and troposphere by elevation, and the rates' constant."""
+        ranges = range_deviation(draft.elevation)
+        both = np.hstack([ranges, np.full_like(ranges, RATE_NOISE)])
+        return both, both
+
+    def local_frame(self, position: Array) -> tuple[Array, Array]:
+        """Origin (3,) and rotation (3, 3) from earth-fixed to east, north, up about a position."""
+        latitude, longitude, _ = geodetic(position)
+        axes = pymap3d.uvw2enu(*np.eye(3), latitude, longitude, deg=False)
+        return position, np.array(axes)
+
+
+def _earth_fixed(local: Array, place: tuple[float, float, float]) -> Array:
+    """States (T, 9) of an east-north-up frame at a place, in the earth-fixed frame."""
+    rotation = np.array(pymap3d.enu2uvw(*np.eye(3), place[0], place[1]))
+    turned = np.einsum("ij,tjd->tid", rotation, local.reshape(-1, 3, 3))
+    turned[:, :, 0] += pymap3d.geodetic2ecef(*place)
+    return turned.reshape(-1, 9)
+
+
+def _is_day(date: str) -> bool:
+    return len(date) == len("2016-02-29")
+
+
+def _parsed(date: str) -> datetime:
+    """The date.
+
+    Raises:
+        ValueError: if it is none, or before GPS began.
+    """
+    try:
+        parsed = datetime.fromisoformat(date)
+    except (TypeError, ValueError):
+        parsed = None
+    if parsed is None or parsed.tzinfo is not None or parsed < GPS_EPOCH.replace(tzinfo=None):
+        raise ValueError(
+            "date must be a day since 1980-01-06 like '2016-02-29', or an instant in GPS time "
+            f"like '2016-02-29T05:00', got {date!r}."
+        )
+    return parsed
+
+
+@lru_cache(maxsize=16)
+def _flight(path: str) -> SmoothTrack:
+    """The smoothed flight in a track file."""
+    return smooth_track(load_track(path))
