@@ -402,6 +402,19 @@ def test_a_broken_filter_leaves_its_neighbours_alone(name):
     np.testing.assert_array_equal(again.mean, whole.mean)
 
 
+def test_an_update_by_nothing_hands_out_copies():
+    """The environment writes into what it is handed, where filters end at different times."""
+    for tier in (ReferenceFilter(still(), direct(), CUBATURE),
+                 GaussianSum(ReferenceFilter(still(), direct(), EXTENDED))):  # fmt: skip
+        prediction, *rest = pending(P=1.0, z=np.nan)
+        told = tier.update(prediction, *rest)
+        for array in prediction:
+            assert not np.shares_memory(told.mean, array)
+            assert not np.shares_memory(told.factor, array)
+        np.testing.assert_array_equal(told.mean, prediction.mean)
+        assert told.log_likelihood[0] == 0.0 and np.isnan(told.nis[0])
+
+
 def test_names_and_parts_that_do_not_exist_are_refused():
     with pytest.raises(ValueError, match="Did you mean 'gsckf'"):
         AdaptiveFilter(still(), direct(), "gsckff")

@@ -192,7 +192,7 @@ class ReferenceFilter:
             spread = self._form.add_noise(*prediction[1:], fading, process_scale)
         if self._form is square_root and not arrived.any():  # nothing to work out
             blame(status, NOT_POSITIVE_DEFINITE, spread)
-            return Update(prediction.mean, spread, *_nothing(z))
+            return Update(prediction.mean.copy(), spread, *_nothing(z))
         with np.errstate(all="ignore"):
             found = self._form.correct(measure, prediction.mean, spread, known, noise, self.design)
             told = _tell(found, present)
