@@ -290,6 +290,7 @@ def _as_printed(study: Study, outcomes: Outcomes) -> Claim:
         "the fading filter works as printed",
         "S4 eq 40 to 42",
         f"{'; '.join(told)}. Eq 40 fades the raw second moment, which grows with the distance "
-        "from the origin; with eq 41 and 42 the covariance becomes negative",
+        f"from the origin: {_told(study, outcomes, (AS_PRINTED[0].label, 'ACKF'))}. With eq 41 "
+        "and 42 the covariance becomes negative",
         judge(sound),
     )
