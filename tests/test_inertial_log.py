@@ -108,6 +108,9 @@ def test_it_runs_without_attitude_and_scores_withheld_fixes(paths):
     heard = play(env, np.zeros((999, 4)), seed=0)
     assert len(heard) == 1 + 201 and heard[-1][3]
     rewards = np.array([step[1] for step in heard[1:]])
+    told = np.array([step[4]["position_error"] for step in heard[1:]])
+    np.testing.assert_array_equal(np.isnan(told), rewards == 0.0)
+    np.testing.assert_allclose(-told[rewards < 0.0] / 20.0, rewards[rewards < 0.0])
     assert 20 < (rewards < 0.0).sum() < 80 and rewards.min() > -1.0
     twin = pickle.loads(pickle.dumps(gym.make(INERTIAL, log=paths[:2], **GOOD_UNIT)))
     assert_same(heard[:9], play(twin.unwrapped, np.zeros((8, 4)), seed=0))
@@ -141,6 +144,23 @@ def test_the_same_seed_gives_the_same_bits_in_a_vector(paths):
         np.testing.assert_array_equal(observation[i], single.reset(seed=5 + i)[0])
     for action in random_actions((3, 4), 5):
         assert vector.observation_space.contains(vector.step(action)[0])
+
+
+def test_a_log_is_read_again_when_a_file_changes(simulated, tmp_path):
+    paths = simulated[0].write(tmp_path)
+    before = read_log(paths[:2], 100.0)
+    assert read_log(paths[:2], 100.0) is before
+    simulated[0]._replace(gnss=simulated[0].gnss[::2]).write(tmp_path)
+    assert read_log(paths[:2], 100.0).steps_per_fix == 2 * before.steps_per_fix
+
+
+def test_a_log_is_drawn(paths):
+    env = gym.make(INERTIAL, log=paths[:2], render_mode="rgb_array", **GOOD_UNIT).unwrapped
+    env.reset(seed=0)
+    first = env.render()
+    for _ in range(60):
+        env.step(np.zeros(4))
+    assert (env.render() != first).any()
 
 
 def test_faults_that_raise_the_noise_add_what_is_missing(paths):

@@ -145,9 +145,11 @@ class Core:
         self._action[running] = action[running]
         squared, nominal, count = np.zeros((3, self.batch))
         active, begin = running.copy(), self.index.copy()
+        known_error = np.full(self.batch, np.nan)  # the latest of this decision
         for k in range(self.interval):
             self._correct(active, fades=k % self.scenario.steps_per_measurement == 0)
             self._score(active)
+            np.copyto(known_error, self.error, where=active & ~np.isnan(self.error))
             statistics.account(
                 self.error, self.nees, self.status, self._nominal_error,
                 self.scenario.lost_distance, self.index, active, self.lost,
@@ -157,6 +159,7 @@ class Core:
             self._look(active)
             if not active.any():
                 break
+        np.copyto(self.error, known_error, where=running)
         self.total_squared_error += squared
         self.total_scored += count
         lost = running & self.lost

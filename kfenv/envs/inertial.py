@@ -94,7 +94,8 @@ class InsGnssEnv(TrackingEnv):
     A lost track costs the cap (10 or 3) for that decision and each that remained, so that
     losing it never pays. Without truth, and with the track kept, the reward is zero.
     With a ``log`` of two files, errors are the distances to the fixes that faults withhold
-    from the filter, and nothing else counts; ``position_error`` is NaN elsewhere.
+    from the filter, and nothing else counts; ``position_error`` is the latest of a decision,
+    NaN without one.
 
     ## Starting State
     The flight is random: straight legs, coordinated turns of 2 to 10 deg/s, climbs and

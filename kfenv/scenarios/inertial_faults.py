@@ -70,6 +70,8 @@ class Outliers:
 class Interference:
     """Bursts of outliers, each of a mixture of its own: more or fewer, wilder or milder.
 
+    Where bursts overlap, or meet noise that was raised before, the strongest counts.
+
     Attributes:
         bursts: least and greatest number of bursts.
         duration: range of a burst's length, s.
@@ -105,7 +107,7 @@ class Interference:
             hit = draw_hits(rng, draft, share, "vector" if whole else "channel")
             burst = draft.window(self.label, start, duration)
             raised[burst] = np.maximum(raised[burst], np.where(hit[burst], factor, 1.0))
-        draft.noise_factor *= raised
+        np.maximum(draft.noise_factor, raised, out=draft.noise_factor)
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ are the yardstick: only there do errors count.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -201,9 +202,10 @@ def level(force: Array, pull: Array, yaw: float) -> Array:
     return np.array([_wrapped(roll), _wrapped(pitch), yaw])
 
 
-@lru_cache(maxsize=8)
 def read_log(paths: tuple[str, ...], rate: float) -> InertialLog:
     """Read and check an inertial file, a GNSS file and perhaps one with the truth.
+
+    What was read is kept for the next call, until a file changes.
 
     Args:
         paths: of the two or three files.
@@ -213,6 +215,12 @@ def read_log(paths: tuple[str, ...], rate: float) -> InertialLog:
         FileNotFoundError: if a file is not there.
         ValueError: naming the file, what is wrong with it, and the remedy.
     """
+    stamps = tuple(os.stat(path).st_mtime_ns if os.path.exists(path) else 0 for path in paths)
+    return _read(paths, rate, stamps)
+
+
+@lru_cache(maxsize=8)
+def _read(paths: tuple[str, ...], rate: float, stamps: tuple[int, ...]) -> InertialLog:
     imu, fixes = read_imu(paths[0]), read_fixes(paths[1])
     truth = read_fixes(paths[2], truth=True) if len(paths) > 2 else None
     check_together(imu, fixes)
