@@ -75,7 +75,8 @@ def test_the_reproduction_has_what_its_notebook_shows():
 
 
 @pytest.mark.parametrize("name", SHORT)
-def test_it_runs_and_computes_what_it_says(name, tmp_path):
+def test_it_runs_and_computes_what_it_says(name, tmp_path, tmp_path_factory, monkeypatch):
+    monkeypatch.setenv("IPYTHONDIR", str(tmp_path_factory.mktemp("ipython")))
     notebook, (parameters, checks) = stored(name), SHORT[name]
     (place,) = [
         i for i, cell in enumerate(notebook.cells) if "parameters" in cell.metadata.get("tags", [])

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from numpy.random import Generator, default_rng
 from numpy.typing import NDArray
 
+from kfenv.filters.reference import NOT_POSITIVE_DEFINITE
 from kfenv.models.model import Motion
 from kfenv.models.variable_turn import variable_turn
 from kfenv.scenarios.faults import SignalLoss
@@ -19,6 +20,7 @@ from kfenv.scenarios.trajectories import paper_trajectory
 
 from ..plotting import shade
 from . import figures, radar_figures, timing
+from .bounds import bound
 from .claims import Claim, judge, with_interval
 from .laboratory import Laboratory
 from .monte_carlo import Method, Outcome, Study, filter_recording
@@ -126,7 +128,7 @@ def _draw(laboratory: Laboratory, study: Study, outcomes: Outcomes) -> None:
             shade(axes, faults, labelled=False)
         laboratory.save(figure, name)
 
-    save(figures.rmse(study.time, shown), "rmse")
+    save(figures.rmse(study.time, shown, bound(study)[:, ::3]), "rmse")
     for first, second in (("UKF", "UKF-J"), ("EKF-J", "SRUKF-J")):
         title = f"RMSE of {first} less RMSE of {second}: positive where {second} is better"
         drawn = figures.rmse_difference(study.time, outcomes[first], outcomes[second], title)
@@ -202,12 +204,19 @@ def _signal_lost(study: Study, gaps: dict[float, Outcomes], bare: dict[float, Ou
         counts = _lost(found, LOSS_START).items()
         listed = (f"{k} {n}" + (f" ({without[k]})" if k in without else "") for k, n in counts)
         told.append(f"{loss:g} s: {', '.join(listed)}")
+    contrast = [
+        found[method.label] for found in (*gaps.values(), *bare.values()) for method in CONTRAST
+    ]
+    astray = sum(int(outcome.lost.sum()) for outcome in contrast)
+    rootless = sum(int(np.sum(outcome.failure == NOT_POSITIVE_DEFINITE)) for outcome in contrast)
     return Claim(
         "C7b (E3)",
         "the UKF diverges when the signal is lost",
         "S0 sec. 5.1",
         f"of {study.runs} runs lost from {LOSS_START:g} s on, in brackets without the speed floor "
-        f"of the motion model, κ = {KAPPA:g} unless told. Loss of {'; '.join(told)}",
+        f"of the motion model, κ = {KAPPA:g} unless told. Loss of {'; '.join(told)}. Of the "
+        f"{astray} losses with κ = -6, whose central weight is negative, {rootless} are of the "
+        "covariance's positive definiteness",
         judge(_lost(gaps[LOSSES[0]], LOSS_START)["UKF"] > 0),
     )
 
