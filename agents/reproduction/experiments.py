@@ -10,7 +10,7 @@ from rich.progress import Progress
 
 from kfenv.names import unknown
 
-from . import bistatic, hard_geometry, radar_tracking, radar_validation
+from . import bistatic, gnss_tracking, hard_geometry, radar_tracking, radar_validation
 from .claims import Claim, write_claims
 from .laboratory import Laboratory
 
@@ -36,6 +36,9 @@ EXPERIMENTS: dict[str, Experiment] = {
         "phased array at 10 Hz, jamming and signal loss (S0 sec. 5.1)",
         40,
         radar_tracking.reproduce,
+    ),
+    "E4": Experiment(
+        "GNSS tracking, clock fault and loss of lock (S0 sec. 5.2)", 100, gnss_tracking.reproduce
     ),
     "hard": Experiment("lost tracks in hard geometry", 200, hard_geometry.reproduce),
     "E5": Experiment("bistatic tracking, linear filter (S3 sec. 5)", 2000, bistatic.reproduce),
