@@ -16,6 +16,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from kfenv.filters.adaptive import ADAPTIVE_DESIGNS
 from kfenv.filters.designs import DESIGNS
 
 app = typer.Typer(
@@ -108,7 +109,7 @@ def train(
     console.print(f"  kfenv evaluate {env}{options} --agent {output} --output {output}-evaluation")
 
 
-@app.command(epilog=f"Fixed filters of the family: {', '.join(DESIGNS)}.")
+@app.command(epilog=f"Fixed filters of the family: {', '.join((*DESIGNS, *ADAPTIVE_DESIGNS))}.")
 def evaluate(
     env: Environment,
     output: Annotated[Path, typer.Option(help="New folder for results and figures.")],
@@ -154,7 +155,7 @@ def evaluate(
 def reproduce(
     experiment: Annotated[
         str,
-        typer.Argument(metavar="NAME", help="E1 to E5, hard (lost tracks), or all."),
+        typer.Argument(metavar="NAME", help="E1 to E6, hard (lost tracks), or all."),
     ],
     output: Annotated[Path, typer.Option(help="New folder for figures and claims.")],
     runs: Annotated[
@@ -167,7 +168,8 @@ def reproduce(
     """Repeat the experiments of the papers: figures, and a table of which claims hold.
 
     E1 and E2: radar of constant noise at 10 and 2 Hz; E3: phased array under jamming and loss;
-    E4: GNSS under a clock fault; E5: bistatic tracking; hard: lost tracks in hard geometry.
+    E4: GNSS under a clock fault; E5: bistatic tracking; E6: inertial navigation with outlying
+    fixes; hard: lost tracks in hard geometry.
     claims.md holds the table.
     """
     from .reproduction.claims import claims_table

@@ -1,4 +1,4 @@
-"""Every fixed filter of the family as a contestant: told noise, knobs at one."""
+"""Every fixed filter as a contestant: told noise, knobs at one."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from kfenv.envs.options import Options
+from kfenv.filters.adaptive import AdaptiveFilter, told_design
 from kfenv.filters.designs import DESIGNS
 from kfenv.filters.reference import ReferenceFilter
 from kfenv.filters.results import History
@@ -39,15 +40,36 @@ class FamilyFilter(RecordingFilter):
 
     def filter(self, scenario: Any, options: Options, recording: Recording) -> History:
         """See `RecordingFilter.filter`."""
-        ones = np.ones(len(recording))
-        return self._build(scenario, options).history(
-            recording.mean, recording.factor, recording.time, recording.motion_inputs,
-            recording.sensor_inputs, recording.measurement, recording.noise, ones, ones,
-        )  # fmt: skip
+        return _history(self._build(scenario, options), recording)
 
     def _build(self, scenario: Any, options: Options) -> ReferenceFilter:
         kappa = options.kappa if DESIGNS[self.name].transform == "unscented" else None
         return ReferenceFilter(scenario.motion, scenario.sensor, self.name, kappa)
+
+
+class AdaptiveFamilyFilter(RecordingFilter):
+    """The design of `kfenv.filters.adaptive.ADAPTIVE_DESIGNS` that has this name.
+
+    A Gaussian sum is made for the scenario's mixture where it has one, otherwise for that
+    of `kfenv.filters.gaussian_sum.Mixture`.
+    """
+
+    def check(self, scenario: Any, options: Options, recording: Recording) -> None:
+        """See `RecordingFilter.check`; there is nothing to complain about."""
+
+    def filter(self, scenario: Any, options: Options, recording: Recording) -> History:
+        """See `RecordingFilter.filter`."""
+        design = told_design(self.name, scenario.mixture)
+        tier = AdaptiveFilter(scenario.motion, scenario.sensor, design, compiled=True)
+        return _history(tier, recording)
+
+
+def _history(tier: ReferenceFilter | AdaptiveFilter, recording: Recording) -> History:
+    ones = np.ones(len(recording))
+    return tier.history(
+        recording.mean, recording.factor, recording.time, recording.motion_inputs,
+        recording.sensor_inputs, recording.measurement, recording.noise, ones, ones,
+    )  # fmt: skip
 
 
 def _is_linear(scenario: Any, recording: Recording) -> bool:

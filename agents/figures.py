@@ -86,6 +86,8 @@ def _episode(contest: Contest, results: Sequence[dict[str, Any]], output: Path) 
     )[[chosen]]
     figure = Figure((9.0, 6.0), layout="constrained")
     top, bottom = figure.subplots(2, sharex=True, height_ratios=(3, 2))
+    scenario, _ = scenario_and_options(contest.env_id, contest.env_kwargs)
+    noise = slice(2, 2 + len(scenario.sensor.groups))
     for result in _shown(results):
         agent = make_agent(result["given_as"])
         agent = agent.with_values(read_values(output, result["given_as"]))
@@ -93,14 +95,13 @@ def _episode(contest: Contest, results: Sequence[dict[str, Any]], output: Path) 
         time = scores.time
         style = {"color": _colour(result, results), "lw": 1.3, "label": result["agent"]}
         top.plot(time, scores.error[:, 0], **style)
-        bottom.plot(time, np.exp(np.log(scores.factors[:, 0, 2:]).mean(axis=1)), **style)
+        bottom.plot(time, np.exp(np.log(scores.factors[:, 0, noise]).mean(axis=1)), **style)
     shade(top, recording.faults[0])
     shade(bottom, recording.faults[0], labelled=False)
     for axes, label in ((top, "position error, m"), (bottom, "noise factor\n(mean of groups)")):
         axes.set_yscale("log")
         axes.set_ylabel(label)
         clean(axes)
-    scenario, _ = scenario_and_options(contest.env_id, contest.env_kwargs)
     top.set_ylim(scenario.error_scale / 200.0, 2.0 * scenario.lost_distance)
     top.set_title(f"Episode {chosen}, on which the nominal filter does as usual", loc="left")
     top.legend(frameon=False, ncols=3, fontsize=9)

@@ -13,7 +13,7 @@ from .agent import Agent, Array
 from .policy import NumpyPolicy
 
 # What a policy was trained with and must be evaluated with, and its default.
-OWN_OPTIONS = {"actions": None, "decision_interval": 1}
+OWN_OPTIONS = {"actions": None, "decision_interval": None}
 
 
 class Learned(Agent):

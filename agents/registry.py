@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from kfenv.filters.adaptive import ADAPTIVE_DESIGNS
 from kfenv.filters.designs import DESIGNS
 from kfenv.names import unknown
 
 from .agent import Agent, Contestant
-from .family import FamilyFilter
+from .family import AdaptiveFamilyFilter, FamilyFilter
 from .fixed import Clairvoyant, Fixed, FixedTuned, Random
 from .learned import Learned
 from .rules import HuberGate, InnovationFading, InnovationFadingPrinted, InnovationNoise
@@ -23,7 +24,7 @@ AGENTS: dict[str, type[Agent]] = {
     "clairvoyant": Clairvoyant,
     "random": Random,
 }
-NAMES = (*AGENTS, *DESIGNS)
+NAMES = (*AGENTS, *DESIGNS, *ADAPTIVE_DESIGNS)
 
 
 def make_agent(name_or_path: str) -> Contestant:
@@ -38,6 +39,8 @@ def make_agent(name_or_path: str) -> Contestant:
         return AGENTS[name_or_path](name_or_path)
     if name_or_path in DESIGNS:
         return FamilyFilter(name_or_path)
+    if name_or_path in ADAPTIVE_DESIGNS:
+        return AdaptiveFamilyFilter(name_or_path)
     label, _, path = name_or_path.rpartition("=")
     if Path(path).exists():
         return Learned(path, label or None)

@@ -103,9 +103,9 @@ def rollout(
     """Run a contestant over every episode of a recording.
 
     Raises:
-        ValueError: if the recording has no truth to score against.
+        ValueError: if an episode has no truth to score against.
     """
-    if recording.truth is None:
+    if recording.truth is None or not recording.scored_instants.all():
         raise ValueError("The episodes have no truth, so no error can be scored.")
     scenario, options = scenario_and_options(env_id, env_kwargs)
     if isinstance(contestant, RecordingFilter):
@@ -121,9 +121,7 @@ def _decide(
     core = Core(scenario, options, len(recording), recording.time, has_truth=True)
     core.load(np.arange(len(recording)), recording)
     shown = recording if agent.clairvoyant else None
-    agent.reset(
-        Briefing(core.knobs, scenario.sensor, core.batch, seed, shown, options.decision_interval)
-    )
+    agent.reset(Briefing(core.knobs, scenario.sensor, core.batch, seed, shown, core.interval))
     running, lost = np.ones(core.batch, bool), np.zeros(core.batch, bool)
     times, errors, factors = [], [], []
     while running.any():
@@ -135,19 +133,20 @@ def _decide(
             times.append(recording.time[min(core.index.max(), len(recording.time)) - 1])
             errors.append(core.error.copy())
             factors.append(core.factors.copy())
-    totals = core.total_squared_error, core.total_nees
+    totals = core.total_scored, core.total_squared_error, core.total_nees
     traces = (np.array(times), np.array(errors), np.array(factors)) if trace else ()
-    return _settle(scenario, len(recording.time), lost, core.index, *totals, *traces)
+    return _settle(scenario, recording, lost, *totals, *traces)
 
 
 def _settle(
-    scenario: Any, steps: int, lost: NDArray[np.bool_], index: NDArray[np.int64],
+    scenario: Any, recording: Recording, lost: NDArray[np.bool_], scored: Array,
     squared_error: Array, nees: Array, *traces: Array,
 ) -> Scores:  # fmt: skip
-    """The scores from sums over the instants until the end, or the loss at `index`."""
-    scored = np.where(lost, index + 1, steps)
-    squared = squared_error + (steps - scored) * scenario.lost_distance**2
-    return Scores(np.sqrt(squared / steps), lost, nees / scored / 3.0, *traces)
+    """The scores from sums over the `scored` instants until the end, or the loss."""
+    all_scored = recording.scored_instants
+    squared = squared_error + (all_scored - scored) * scenario.lost_distance**2
+    nees = nees / np.maximum(scored, 1.0) / 3.0
+    return Scores(np.sqrt(squared / all_scored), lost, nees, *traces)
 
 
 def _filter(
@@ -185,6 +184,7 @@ def _score(history: History, scenario: Any, recording: Recording, trace: bool) -
     with np.errstate(all="ignore"):  # a covariance may be none: then there is no NEES
         roots = cholesky(symmetric(blocks).reshape(-1, 3, 3)).reshape(steps, batch, 3, 3)
     squared, nominal, nees_sum, count, nees = np.zeros((5, batch))
+    known = np.ones((batch, steps)) if recording.scored is None else recording.scored
     index, active, lost = np.zeros(batch, np.int64), np.ones(batch, bool), np.zeros(batch, bool)
     no_rival, error, errors = np.zeros((batch, steps)), np.full(batch, np.nan), []
     for t in range(steps):
@@ -192,6 +192,7 @@ def _score(history: History, scenario: Any, recording: Recording, trace: bool) -
         status = np.where(failed, history.status, 0)
         work = np.where(active, status, IDLE)
         statistics.score(means[t], roots[t], truth[t], np.arange(3), work, error, nees)
+        error[known[:, t] == 0.0] = nees[known[:, t] == 0.0] = np.nan
         error[active & failed], nees[active & failed] = scenario.lost_distance, np.nan
         statistics.account(
             error, nees, status, no_rival, scenario.lost_distance, index, active, lost,
@@ -200,7 +201,7 @@ def _score(history: History, scenario: Any, recording: Recording, trace: bool) -
         errors.append(error.copy())
     knobs = len(knobs_of(scenario.sensor.groups))
     traces = (recording.time, np.array(errors), np.ones((steps, batch, knobs))) if trace else ()
-    return _settle(scenario, steps, lost, index, squared, nees_sum, *traces)
+    return _settle(scenario, recording, lost, count, squared, nees_sum, *traces)
 
 
 def _without_truth(core: Core) -> dict[str, Any]:

@@ -8,10 +8,12 @@ not arrive are NaN and leave a rule's memory as it was.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from kfenv.filters.fading import Fading, fading_factor, second_moment
 
 from .agent import Agent, Array, Briefing, Parameter, knob_actions
 
@@ -21,11 +23,13 @@ REJECTED = 1e3  # noise factor of a rejected channel: beyond any knob's range
 
 
 class InnovationFading(Agent):
-    """One fading factor from the innovations' second moment (SPEC 6), traces normalised by R.
+    """One fading factor from the innovations' second moment, as `kfenv.filters.fading` has it.
 
     V_1 = nu nu^T, V_k = (rho V_{k-1} + nu nu^T) / (1 + rho);
-    lambda = max(1, tr R^-1 (V - beta R) / tr R^-1 H P H^T).
+    lambda = max(1, tr R^-1 (V - beta R) / tr R^-1 H P H^T), as far as the knob goes.
     """
+
+    normalised: ClassVar[bool] = True
 
     parameters = (
         Parameter("forgetting", 0.5, 1.0, 0.95),
@@ -36,22 +40,15 @@ class InnovationFading(Agent):
     def reset(self, briefing: Briefing) -> None:
         super().reset(briefing)
         self._moment = np.full((briefing.batch, len(briefing.sensor.channels)), np.nan)
+        rho, beta = self.values["forgetting"], self.values["weakening"]
+        # Tuning works on logarithms, and may miss the ends of a range by a rounding.
+        self._rule = Fading(min(rho, 1.0), beta=max(beta, 1.0), norm=self.normalised)
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
-        squared = info["innovation"] ** 2
-        rho = self.values["forgetting"]
-        later = (rho * self._moment + squared) / (1.0 + rho)
-        updated = np.where(np.isnan(self._moment), squared, later)
-        arrived = ~np.isnan(squared)
-        self._moment = np.where(arrived, updated, self._moment)
-        fading = self._fading(info, arrived)
-        return knob_actions(self.briefing, fading, self.values["process_noise"])
-
-    def _fading(self, info: Mapping[str, Any], arrived: NDArray[np.bool_]) -> Array:
-        noise = info["noise"] ** 2
-        excess = self._moment / noise - self.values["weakening"]
-        explained = info["innovation_variance"] / noise - 1.0
-        return _ratio_of_traces(excess, explained, arrived)
+        variance = info["innovation_variance"]
+        self._moment = second_moment(self._rule, self._moment, info["innovation"], variance)
+        factor = fading_factor(self._rule, self._moment, variance, info["noise"])
+        return knob_actions(self.briefing, factor, self.values["process_noise"])
 
 
 class InnovationFadingPrinted(InnovationFading):
@@ -61,9 +58,7 @@ class InnovationFadingPrinted(InnovationFading):
     second time) is beyond the knobs; here it multiplies the propagated covariance once.
     """
 
-    def _fading(self, info: Mapping[str, Any], arrived: NDArray[np.bool_]) -> Array:
-        excess = self._moment - self.values["weakening"] * info["noise"] ** 2
-        return _ratio_of_traces(excess, info["innovation_variance"], arrived)
+    normalised = False
 
 
 class HuberGate(Agent):
@@ -131,11 +126,3 @@ class InnovationNoise(Agent):
     @staticmethod
     def _noise(mean_square: Array, explained: Array, told: Array) -> Array:
         return np.clip(mean_square - explained, 0.04 * told, 1e4 * told)
-
-
-def _ratio_of_traces(top: Array, bottom: Array, arrived: NDArray[np.bool_]) -> Array:
-    """max(1, trace ratio) over the channels that arrived; 1 where none did."""
-    top = np.where(arrived, top, 0.0).sum(axis=1)
-    bottom = np.where(arrived, bottom, 0.0).sum(axis=1)
-    ratio = np.divide(top, bottom, out=np.ones_like(top), where=bottom > 0.0)
-    return np.maximum(ratio, 1.0)

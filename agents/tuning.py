@@ -35,8 +35,9 @@ def tune(
         trials: how many settings may be tried for each parameter.
         advance: called after each trial.
     """
-    scenario, _ = scenario_and_options(env_id, env_kwargs)
-    parameters = agent.tunable(choose_knobs(None, scenario.sensor.groups))
+    scenario, options = scenario_and_options(env_id, env_kwargs)
+    knobs = choose_knobs(None, scenario.sensor.groups, options.mixture)
+    parameters = agent.tunable(knobs)
     trials *= len(parameters)
     if trials < 1:
         return agent

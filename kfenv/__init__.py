@@ -11,6 +11,7 @@ _MODULES = {
     "kfenv/RadarTracking-v0": "kfenv.envs.radar",
     "kfenv/RadarValidation-v0": "kfenv.envs.radar",
     "kfenv/BistaticTracking-v0": "kfenv.envs.bistatic",
+    "kfenv/InsGnss-v0": "kfenv.envs.inertial",
     "kfenv/GnssTracking-v0": "kfenv.envs.gnss",
 }
 ENVIRONMENTS = tuple(_MODULES)

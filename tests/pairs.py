@@ -11,8 +11,10 @@ from kfenv.filters.matrices import tria
 from kfenv.models.constant_acceleration import constant_acceleration
 from kfenv.models.model import Component, Motion, MotionFunctions, Sensor
 from kfenv.models.namespaces import batch as namespace
+from kfenv.models.navigation_fix import navigation_fix
 from kfenv.models.position import position
 from kfenv.models.radar import radar
+from kfenv.models.strapdown import mechanise, strapdown
 from kfenv.models.variable_turn import variable_turn
 
 Array = NDArray[np.float64]
@@ -190,6 +192,29 @@ def robot_case(batch: int = 4, steps: int = 300, missing: float = 0.3, seed: int
     return Case(mean, factor, time, u, s, z, sd.copy(), *_knobs(batch))
 
 
+def strapdown_case(
+    batch: int = 4, steps: int = 300, missing: float = 0.3, seed: int = 2, dt: float = 0.02
+) -> Case:
+    """Banked turns through yaw 180 deg, inertial samples and fixes with noise."""
+    rng = np.random.default_rng(seed)
+    time = dt * np.arange(steps)
+    turning = [1.0, 0.5, -11.0, 0.05, 0.02, 0.3] + rng.normal(size=(batch, 1, 6)) * 0.05
+    u = turning + rng.normal(size=(batch, steps, 6)) * [0.3, 0.3, 0.3, 0.02, 0.02, 0.02]
+    deviation = np.array([20.0] * 3 + [2.0] * 3 + [0.03] * 3)
+    factor = _correlated_factor(rng, deviation, batch)
+    start = [0.0, 0.0, -1000.0, 80.0, 30.0, 2.0, 0.4, 0.1, 2.5] + deviation * rng.normal(
+        size=(batch, 9)
+    )
+    mean = start + (factor @ rng.normal(size=(batch, 9, 1)))[:, :, 0]
+    z = np.stack([mechanise(x, samples, time) for x, samples in zip(start, u, strict=True)])
+    sd = np.broadcast_to([5.0] * 3 + [0.5] * 3 + [0.01] * 3, z.shape).copy()
+    z = z + sd * rng.normal(size=z.shape)
+    z[:, :, 6:] = wrap(z[:, :, 6:])
+    z[rng.random(z.shape) < missing] = np.nan
+    z[:, 1::2] = np.nan  # fixes at half the samples' rate
+    return Case(mean, factor, time, u, np.zeros((batch, steps, 0)), z, sd, *_knobs(batch))
+
+
 def drawn_case(
     motion: Motion, sensor: Sensor, mean: Array, factor: Array, sd: Array, dt: float, seed: int = 0
 ) -> tuple[Array, Case]:
@@ -227,4 +252,5 @@ PAIRS = {
     "constant acceleration, radar": (constant_acceleration(), radar(), radar_case),
     "constant acceleration, position": (constant_acceleration(0.2), position(), position_case),
     "robot, beacon": (robot(), beacon(), robot_case),
+    "strapdown, navigation fix": (strapdown(), navigation_fix(), strapdown_case),
 }

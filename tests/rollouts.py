@@ -17,6 +17,7 @@ every_environment = pytest.mark.parametrize("env_id", kfenv.ENVIRONMENTS)
 
 TRACKING, VALIDATION = "kfenv/RadarTracking-v0", "kfenv/RadarValidation-v0"
 BISTATIC = "kfenv/BistaticTracking-v0"
+INERTIAL = "kfenv/InsGnss-v0"
 GNSS = "kfenv/GnssTracking-v0"
 
 # Faults of every scenario, short and mild enough for short episodes.
@@ -46,6 +47,7 @@ PECULIAR = {
     TRACKING: Peculiar(90.0),
     VALIDATION: Peculiar(800.0, "none"),
     BISTATIC: Peculiar(9.0),
+    INERTIAL: Peculiar(200.0),
     GNSS: Peculiar(50.0),
 }
 assert set(PECULIAR) == set(kfenv.ENVIRONMENTS)

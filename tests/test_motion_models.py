@@ -8,12 +8,15 @@ from pairs import beacon, robot
 
 from kfenv.models.constant_acceleration import constant_acceleration
 from kfenv.models.namespaces import batch, compiled, dual, scalar
+from kfenv.models.navigation_fix import navigation_fix
 from kfenv.models.radar import radar
+from kfenv.models.strapdown import strapdown
 from kfenv.models.variable_turn import variable_turn
 
 MOTIONS = {"constant acceleration": constant_acceleration(2.0), "variable turn": variable_turn(2.0),
-           "robot": robot()}  # fmt: skip
-SENSORS = {"radar": (radar(), 9), "beacon": (beacon(), 4)}
+           "robot": robot(), "strapdown": strapdown()}  # fmt: skip
+SENSORS = {"radar": (radar(), 9), "beacon": (beacon(), 4), "fix": (navigation_fix(), 9),
+           "fix without attitude": (navigation_fix(attitude=False), 9)}  # fmt: skip
 DT = 0.3
 
 
@@ -25,11 +28,17 @@ def states(n, count=20, seed=0):
     return rng.normal(size=(count, 4)) * [10.0, 10.0, 1.0, 2.0]
 
 
+def navigation_states():
+    """Of a vehicle that is nowhere near straight up or down."""
+    x = np.random.default_rng(2).uniform(-1.0, 1.0, size=(20, 9))
+    return x * ([1e3] * 3 + [100.0] * 3 + [3.0, 1.2, 3.0])
+
+
 def _cases():
     """(build the function on a namespace, states, known inputs, further arguments)."""
     rng = np.random.default_rng(1)
     for label, motion in MOTIONS.items():
-        x = states(len(motion.states))
+        x = navigation_states() if label == "strapdown" else states(len(motion.states))
         u = rng.normal(size=(len(x), len(motion.inputs)))
         for i, name in enumerate(("step", "noise_factor")):
 

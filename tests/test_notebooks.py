@@ -23,6 +23,26 @@ SHORT = {
         "assert {c['name']: c['verdict'] for c in claims}['C13 (E5)'] == 'holds'\n"
         "assert all(image.startswith(b'\\x89PNG') for image in figures.values())",
     ),
+    "when_fading_helps": (
+        "RUNS, RATE = 4, 20.0",
+        # SPEC 6
+        "assert np.isclose(at_20['plain'], 0.5) and np.isclose(at_20['fading'], 0.998, atol=1e-3)\n"
+        "assert at_20['Gaussian sum, fading, robust V'] < 0.01\n"
+        "assert np.isclose(memory, 2.9, atol=0.15)\n"
+        "assert 0.42 < idle[1.0] < 0.45 and idle[3.0] < 0.04\n"
+        "assert np.isclose(raw[1000.0], 50105.0) and np.isclose(right[1000.0], 105.0)\n"
+        "assert status[0] == 4\n"
+        # what the text says
+        "assert lasting['a jump of 4']['GSACKF'] < lasting['a jump of 4']['GSCKF']\n"
+        "assert lasting['a jump of 30']['ACKF'] < 3 < lasting['a jump of 30']['GSACKF']\n"
+        "assert speed['outliers', 'GSCKF'] < speed['outliers', 'GSACKF'] < 2.0\n"
+        "assert speed['outliers', 'CKF'] < speed['outliers', 'ACKF']\n"
+        "assert speed['unit fault', 'ACKF'] < 0.5 * speed['unit fault', 'CKF']\n"
+        "assert speed['unit fault', 'GSCKF'] > speed['unit fault', 'CKF']\n"
+        "others = [speed['both', m.label] for m in METHODS if m.label != 'GSACKF']\n"
+        "assert speed['both', 'GSACKF'] < 0.5 * min(others)\n"
+        "assert telling['unit fault'] > 0.5 > 0.3 > abs(telling['outliers'])",
+    ),
     "why_joseph_forms_differ": (
         "RUNS, RATES = 8, (2.0,)",
         # SPEC 2.3

@@ -10,7 +10,14 @@ from rich.progress import Progress
 
 from kfenv.names import unknown
 
-from . import bistatic, gnss_tracking, hard_geometry, radar_tracking, radar_validation
+from . import (
+    bistatic,
+    gnss_tracking,
+    hard_geometry,
+    inertial_navigation,
+    radar_tracking,
+    radar_validation,
+)
 from .claims import Claim, write_claims
 from .laboratory import Laboratory
 
@@ -40,8 +47,11 @@ EXPERIMENTS: dict[str, Experiment] = {
     "E4": Experiment(
         "GNSS tracking, clock fault and loss of lock (S0 sec. 5.2)", 100, gnss_tracking.reproduce
     ),
-    "hard": Experiment("lost tracks in hard geometry", 200, hard_geometry.reproduce),
     "E5": Experiment("bistatic tracking, linear filter (S3 sec. 5)", 2000, bistatic.reproduce),
+    "E6": Experiment(
+        "inertial navigation with outlying fixes (S4 sec. 5)", 100, inertial_navigation.reproduce
+    ),
+    "hard": Experiment("lost tracks in hard geometry", 200, hard_geometry.reproduce),
 }
 
 

@@ -16,6 +16,7 @@ from numpy.random import SeedSequence, default_rng
 from numpy.typing import NDArray
 
 from kfenv import __version__
+from kfenv.filters.adaptive import AdaptiveDesign, AdaptiveFilter
 from kfenv.filters.matrices import cholesky, solve_lower, symmetric
 from kfenv.filters.reference import ReferenceFilter
 from kfenv.filters.results import History
@@ -37,13 +38,13 @@ class Method:
 
     Attributes:
         label: its name in tables and figures.
-        design: a name in `kfenv.filters.designs.DESIGNS`.
+        design: a name in `kfenv.filters.designs.DESIGNS`, or an adaptive design.
         kappa: spread of the sigma points in place of the design's.
         process_scale: factor of the process noise covariance that the filter assumes.
     """
 
     label: str
-    design: str
+    design: str | AdaptiveDesign
     kappa: float | None = None
     process_scale: float = 1.0
 
@@ -168,9 +169,13 @@ def run_study(
 
 def filter_recording(scenario: Any, method: Method, recording: Recording) -> History:
     """One method over a whole recording."""
-    design = ReferenceFilter(scenario.motion, scenario.sensor, method.design, method.kappa)
+    models = scenario.motion, scenario.sensor
+    if isinstance(method.design, AdaptiveDesign):
+        tier = AdaptiveFilter(*models, method.design, compiled=True)
+    else:
+        tier = ReferenceFilter(*models, method.design, method.kappa)
     ones = np.ones(len(recording))
-    return design.history(
+    return tier.history(
         recording.mean, recording.factor, recording.time, recording.motion_inputs,
         recording.sensor_inputs, recording.measurement, recording.noise,
         ones, method.process_scale * ones,

@@ -124,7 +124,9 @@ class BistaticTrackingEnv(TrackingEnv):
     - ``decision_interval``: filter steps for which an action holds, 1 or more (default 1).
     - ``filter``: ``"srukf-joseph-exact"`` (default, compiled), or a square-root design of
       `kfenv.filters.designs`, e.g. ``"srukf-joseph"`` with the Jacobian at the posterior
-      as published or ``"srukf-joseph-prior"`` at the prediction; those are slow.
+      as published or ``"srukf-joseph-prior"`` at the prediction; those are slow. The Gaussian
+      sums ``"gsekf"`` and ``"gsckf"`` hold 15 % of the measurements for outliers of 500 times
+      the variance, and have a knob ``outlier_weight`` (1e-3 to 1e3) on the odds of that.
     - ``kappa``: spread of the sigma points, 0 or more (default 1).
     - ``render_mode``: ``"rgb_array"``, ``"human"`` or None (default).
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from kfenv.envs import statistics
 from kfenv.envs.knobs import choose_knobs, knobs_of
-from kfenv.envs.options import ENGINE, Options
+from kfenv.envs.options import ENGINE, GAUSSIAN_SUMS, Options
 from kfenv.filters.engine import Engine
 from kfenv.filters.results import Prediction, Update
 from kfenv.scenarios.recording import Recording
@@ -43,10 +43,11 @@ class Core:
         self.scenario, self.options, self.batch = scenario, options, batch
         self.time, self.has_truth = times, has_truth
         motion, sensor = scenario.motion, scenario.sensor
-        self.filter = make_filter(motion, sensor, options)
+        self.filter = make_filter(scenario, options)
         self._position = np.array(motion.position)
         self._velocity = np.array(motion.velocity)
         self._group = np.array(sensor.group_of_channel)
+        self.interval = options.decision_interval or scenario.steps_per_measurement
         self._prepare_knobs(sensor.groups)
         n, m, steps = len(motion.states), len(sensor.channels), len(times)
         inputs = scenario.dimensions
@@ -58,6 +59,7 @@ class Core:
         }
         if has_truth:
             self._episode["truth"] = np.zeros((batch, steps, n))
+            self._episode["scored"] = np.ones((batch, steps))
         self._nominal_error = np.zeros((batch, steps))
         self._dt = np.diff(times, prepend=times[0])
         self._prediction = Prediction(np.zeros((batch, n)), *np.zeros((2, batch, n, n)))
@@ -70,7 +72,7 @@ class Core:
         self.status = np.zeros(batch, np.int64)
         self.error = np.full(batch, np.nan)
         self.nees = np.full(batch, np.nan)
-        self.total_squared_error, self.total_nees = np.zeros((2, batch))
+        self.total_squared_error, self.total_nees, self.total_scored = np.zeros((3, batch))
         self._statistics = np.zeros((batch, len(sensor.groups), statistics.COLUMNS))
         self._since = np.zeros(batch)
         self._action = np.zeros((batch, len(self.knobs)))
@@ -80,8 +82,8 @@ class Core:
         )
 
     def _prepare_knobs(self, groups: tuple[str, ...]) -> None:
-        self._all_knobs = knobs_of(groups)
-        self.knobs = choose_knobs(self.options.actions, groups)
+        self._all_knobs = knobs_of(groups, self.options.mixture)
+        self.knobs = choose_knobs(self.options.actions, groups, self.options.mixture)
         self.knob_place = np.array([self._all_knobs.index(knob) for knob in self.knobs])
         self._log_low = np.log([knob.low for knob in self.knobs])
         self._log_high = np.log([knob.high for knob in self.knobs])
@@ -91,7 +93,8 @@ class Core:
     def load(self, chosen: NDArray[np.int64], recording: Recording) -> None:
         """Start new episodes at the chosen places, one per episode of the recording."""
         for name, array in self._episode.items():
-            array[chosen] = getattr(recording, name)
+            given = getattr(recording, name)
+            array[chosen] = 1.0 if given is None else given  # only `scored` may be left out
         if self.options.reward == "improvement" and self.has_truth:
             self._nominal_error[chosen] = self._errors_of_nominal(recording)
         self.index[chosen] = 0
@@ -111,6 +114,7 @@ class Core:
         self.factors[chosen] = 1.0
         self.total_squared_error[chosen] = 0.0
         self.total_nees[chosen] = 0.0
+        self.total_scored[chosen] = 0.0
         mask = np.zeros(self.batch, bool)
         mask[chosen] = True
         self._score(mask)
@@ -131,7 +135,8 @@ class Core:
     def step(self, action: Array, running: Mask) -> tuple[Array, Mask, Mask]:
         """Apply an action (B, K) for one decision interval to the running filters.
 
-        A lost track pays the cap for this decision and every one that remained.
+        A lost track pays the cap for this decision and every one that remained. Where
+        measurements are rarer than filter steps, fading acts once per measurement's period.
 
         Returns:
             Reward, terminated and truncated, each (B,); zero and False where not running.
@@ -140,8 +145,8 @@ class Core:
         self._action[running] = action[running]
         squared, nominal, count = np.zeros((3, self.batch))
         active, begin = running.copy(), self.index.copy()
-        for _ in range(self.options.decision_interval):
-            self._correct(active)
+        for k in range(self.interval):
+            self._correct(active, fades=k % self.scenario.steps_per_measurement == 0)
             self._score(active)
             statistics.account(
                 self.error, self.nees, self.status, self._nominal_error,
@@ -153,11 +158,12 @@ class Core:
             if not active.any():
                 break
         self.total_squared_error += squared
+        self.total_scored += count
         lost = running & self.lost
         ended = running & ~lost & (self.index >= len(self.time))
         count = np.maximum(count, 1.0)
         reward = self._reward(squared / count, nominal / count)
-        remaining = -(-(len(self.time) - begin) // self.options.decision_interval)
+        remaining = -(-(len(self.time) - begin) // self.interval)
         reward = np.where(lost, -REWARD_CAP[self.options.reward] * remaining, reward)
         return np.where(running, reward, 0.0), lost, ended
 
@@ -179,12 +185,15 @@ class Core:
     def _instant(self) -> NDArray[np.int64]:
         return np.minimum(self.index, self._last)
 
-    def _correct(self, active: Mask) -> None:
+    def _correct(self, active: Mask, fades: bool) -> None:
         noise = self._gather("noise") * self.factors[:, 2 + self._group]
         work = np.where(active, self.status, IDLE)
+        fading = self.factors[:, 0].copy() if fades else np.ones(self.batch)
+        outlier_odds = (self.factors[:, -1].copy(),) if self.options.mixture else ()
         result = self.filter.update(
-            self._prediction, self.factors[:, 0].copy(), self.factors[:, 1].copy(),
+            self._prediction, fading, self.factors[:, 1].copy(),
             self._gather("sensor_inputs"), self._gather("measurement"), noise, work,
+            *outlier_odds,
         )  # fmt: skip
         self._update = _merge(self._update, result, active)
         np.copyto(self._scored, self.index, where=active)
@@ -225,6 +234,8 @@ class Core:
                 self._update.mean, self._update.factor, self._gather("truth"), self._position,
                 work, self.error, self.nees,
             )  # fmt: skip
+            unknown = active & (self._gather("scored") == 0.0)
+            self.error[unknown] = self.nees[unknown] = np.nan
         failed = active & (self.status != 0)
         if failed.any():
             self.error[failed] = self.scenario.lost_distance
@@ -290,17 +301,27 @@ class Core:
         return tuple(names)
 
 
-def make_filter(motion, sensor, options: Options):
-    """The engine, or a square-root filter of the reference tier by name.
+def make_filter(scenario: Any, options: Options):
+    """The engine, a Gaussian sum, or a square-root filter of the reference tier by name.
 
     Raises:
         ValueError: for an unknown name or one without a square-root factor.
     """
+    motion, sensor = scenario.motion, scenario.sensor
     if options.filter == ENGINE:
         return Engine(motion, sensor, options.kappa)
+    from kfenv.filters.adaptive import ADAPTIVE_DESIGNS, build_tier, told_design
     from kfenv.filters.designs import DESIGNS, find_design
     from kfenv.filters.reference import ReferenceFilter
 
+    if options.mixture:
+        design = told_design(options.filter, scenario.mixture)
+        return build_tier(motion, sensor, design, compiled=True)
+    if options.filter in ADAPTIVE_DESIGNS and ADAPTIVE_DESIGNS[options.filter].fading:
+        raise ValueError(
+            f"The filter {options.filter!r} fades by itself, and here fading is a knob: choose "
+            f"one of {', '.join(GAUSSIAN_SUMS)} and let an agent turn it."
+        )
     if find_design(options.filter).form != "square-root":
         known = [name for name, design in DESIGNS.items() if design.form == "square-root"]
         raise ValueError(

@@ -27,6 +27,7 @@ class History:
             All positions are east, north and up (see the scenario's `local_frame`).
         lasting, passing: faults that last the whole episode and those that do not.
         colours: of the passing faults' labels.
+        stride: filter steps from one measurement to the next.
         steps: the times of the updates so far.
         position, covariance, error, factors: of the updates so far.
         centre, spread: the latest estimate (3,) and covariance (3, 3), first the initial one.
@@ -34,6 +35,7 @@ class History:
 
     def __init__(self, scenario: Any, recording: Recording, knobs: int) -> None:
         place = list(scenario.motion.position)
+        self.stride = scenario.steps_per_measurement
         self.time = recording.time
         start = recording.mean[0][place]
         self._origin, self._rotation = scenario.local_frame(start)
@@ -104,6 +106,9 @@ def measured_positions(sensor: Sensor, measurement: Array) -> Array | None:
     pseudoranges: its film has no dots.
     """
     names = [channel.name for channel in sensor.channels]
+    if {"pN", "pE", "pD"} <= set(names):
+        north, east, down = (measurement[:, names.index(name)] for name in ("pN", "pE", "pD"))
+        return np.stack([east, north, -down], axis=1)
     if {"x", "y", "z"} <= set(names):
         return measurement[:, [names.index(axis) for axis in "xyz"]]
     if not {"range", "azimuth", "elevation"} <= set(names):

@@ -23,7 +23,7 @@ class Knob:
     and exactly 1 at zero.
 
     Attributes:
-        name: ``"fading"``, ``"process_noise"`` or ``"<group>_noise"``.
+        name: ``"fading"``, ``"process_noise"``, ``"<group>_noise"`` or ``"outlier_weight"``.
         low, high: the factors at -1 and 1, 0 < low < 1 < high.
     """
 
@@ -32,28 +32,37 @@ class Knob:
     high: float
 
 
-# Fading and process noise multiply covariances, measurement noise a standard deviation.
+# Fading and process noise multiply covariances, measurement noise a standard deviation,
+# and the outlier weight the odds weight / (1 - weight) that a Gaussian sum gives an outlier.
 FADING = Knob("fading", 0.5, 10.0)
 PROCESS_NOISE = Knob("process_noise", 1e-3, 1e4)
 NOISE_RANGE = (0.05, 500.0)
+OUTLIER_WEIGHT = Knob("outlier_weight", 1e-3, 1e3)
 
 
-def knobs_of(groups: Sequence[str]) -> tuple[Knob, ...]:
-    """All knobs of a filter whose sensor has these channel groups."""
+def knobs_of(groups: Sequence[str], mixture: bool = False) -> tuple[Knob, ...]:
+    """All knobs of a filter whose sensor has these channel groups.
+
+    Args:
+        mixture: whether it is a Gaussian sum, whose outlier weight is the last knob.
+    """
     noise = tuple(Knob(f"{group}_noise", *NOISE_RANGE) for group in groups)
-    return (FADING, PROCESS_NOISE, *noise)
+    return (FADING, PROCESS_NOISE, *noise, *((OUTLIER_WEIGHT,) if mixture else ()))
 
 
-def choose_knobs(names: Sequence[str] | None, groups: Sequence[str]) -> tuple[Knob, ...]:
+def choose_knobs(
+    names: Sequence[str] | None, groups: Sequence[str], mixture: bool = False
+) -> tuple[Knob, ...]:
     """The knobs that an environment exposes, in the order of `knobs_of`.
 
     Args:
         names: knob names, ``"measurement_noise"`` standing for all groups; None for all.
+        groups, mixture: as in `knobs_of`.
 
     Raises:
         ValueError: for an unknown name, or if none is left.
     """
-    knobs = knobs_of(groups)
+    knobs = knobs_of(groups, mixture)
     if names is None:
         return knobs
     if isinstance(names, str):
@@ -62,7 +71,7 @@ def choose_knobs(names: Sequence[str] | None, groups: Sequence[str]) -> tuple[Kn
     wanted: set[str] = set()
     for name in names:
         if name == MEASUREMENT_NOISE:
-            wanted.update(known[2:])
+            wanted.update(f"{group}_noise" for group in groups)
         elif name in known:
             wanted.add(name)
         else:

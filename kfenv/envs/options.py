@@ -14,6 +14,7 @@ from kfenv.scenarios.recording import Recording
 
 REWARDS = ("rmse", "improvement")
 ENGINE = "srukf-joseph-exact"
+GAUSSIAN_SUMS = ("gsekf", "gsckf")
 MAX_STEP = 1.0 + 1e-6  # s
 
 
@@ -24,7 +25,7 @@ class Options:
     reward: str = "rmse"
     actions: Sequence[str] | None = None
     recording: Recording | None = None
-    decision_interval: int = 1
+    decision_interval: int | None = None  # that of the scenario's measurements
     filter: str = ENGINE
     kappa: float = 1.0
 
@@ -32,7 +33,8 @@ class Options:
         if self.reward not in REWARDS:
             raise ValueError(unknown("reward", self.reward, REWARDS))
         interval = self.decision_interval
-        if isinstance(interval, bool) or not isinstance(interval, int) or interval < 1:
+        whole = isinstance(interval, int) and not isinstance(interval, bool)
+        if interval is not None and (not whole or interval < 1):
             raise ValueError(
                 f"decision_interval must be a whole number of filter steps, 1 or more, "
                 f"got {interval!r}."
@@ -45,10 +47,17 @@ class Options:
             raise ValueError(f"filter must be the name of a filter, got {self.filter!r}.")
         if not is_number(self.kappa):
             raise ValueError(f"kappa must be a finite number, got {self.kappa!r}.")
+        if self.mixture and self.kappa != 1.0:
+            raise ValueError(f"The filter {self.filter!r} has no kappa to set: leave it out.")
         if self.recording is not None and not isinstance(self.recording, Recording):
             raise ValueError(
                 f"recording must be a kfenv Recording, got {type(self.recording).__name__}."
             )
+
+    @property
+    def mixture(self) -> bool:
+        """Whether the filter is a Gaussian sum, which has an outlier weight to turn."""
+        return self.filter in GAUSSIAN_SUMS
 
 
 def split_keywords(scenario_class: type, keywords: dict[str, Any]) -> tuple[Any, Options]:

@@ -150,9 +150,9 @@ class CloseUp(Panel):
         self.middle = (history.centre if true is None else true)[:2]
         for band, track in zip(self._bands, self._tracks, strict=True):
             band.set_data(*(track - self.middle).T)
-        seen = history.seen[-RECENT:, :2] - self.middle
+        seen = history.seen[-RECENT * history.stride :, :2] - self.middle
         self._dots.set_data(*seen.T)
-        self._latest.set_data(*seen[-1:].T)
+        self._latest.set_data(*seen[-history.stride :].T)
         self._line.set_data(*(history.position[:, :2] - self.middle).T)
         off = history.centre[:2] - self.middle
         outline = ellipse(history.spread) + off[:, None]
@@ -204,7 +204,8 @@ class ErrorPanel(Panel):
         self._bound_text.set_text(_metres(predicted[-1]))
         if history.truth is not None:
             self._error_text.set_text(_metres(history.error[-1]))
-            self._rms_text.set_text(_metres(np.sqrt(np.mean(history.error**2))))
+            known = history.error[np.isfinite(history.error)]
+            self._rms_text.set_text(_metres(np.sqrt(np.mean(known**2)) if len(known) else np.nan))
         low, high = self.axes.get_ylim()
         top = min(np.nanmax([*history.error, *predicted, 0.0]), self._widest)
         if top <= high:
@@ -365,7 +366,9 @@ def _true_track(axes: Axes, history: History, unit: float) -> list[Line2D]:
 
 
 def _metres(value: float) -> str:
-    """Whole metres, with a decimal below ten."""
+    """Whole metres, with a decimal below ten; a dash for what is not known."""
+    if np.isnan(value):
+        return "-"
     return f"{value:.1f} m" if value < 9.95 else f"{value:.0f} m"
 
 

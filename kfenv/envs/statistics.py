@@ -66,7 +66,7 @@ def account(
     error, nees, status, nominal_error, lost_distance, index, active, lost,
     squared, nominal, total_nees, count,
 ):  # fmt: skip
-    """Book a scored instant of each active filter and move it on.
+    """Book an instant of each active filter, if its error is known, and move it on.
 
     A filter that has lost its track, or has reached its episode's end, becomes inactive;
     a lost one stays at the instant of the loss, whose error counts as the loss distance.
@@ -74,10 +74,11 @@ def account(
     for b in range(error.shape[0]):
         if not active[b]:
             continue
-        squared[b] += min(error[b], lost_distance) ** 2
-        nominal[b] += nominal_error[b, index[b]] ** 2
-        total_nees[b] += nees[b]
-        count[b] += 1.0
+        if not isnan(error[b]):
+            squared[b] += min(error[b], lost_distance) ** 2
+            nominal[b] += nominal_error[b, index[b]] ** 2
+            total_nees[b] += nees[b]
+            count[b] += 1.0
         if status[b] != 0 or error[b] > lost_distance:
             lost[b] = True
             active[b] = False

@@ -10,15 +10,25 @@ from numpy.typing import NDArray
 from kfenv.filters import covariance, square_root
 from kfenv.filters.designs import FilterDesign, find_design
 from kfenv.filters.matrices import cholesky, solve_lower, transpose
-from kfenv.filters.results import History, Prediction, Run, Update
+from kfenv.filters.results import (
+    BAD_INNOVATION,
+    BAD_PREDICTION,
+    BAD_UPDATE,
+    NOT_POSITIVE_DEFINITE,
+    OK,
+    History,
+    Prediction,
+    Run,
+    Update,
+    blame,
+)
 from kfenv.filters.square_root import Correction
-from kfenv.filters.transforms import StateFunction, sigma_weights, wrap
-from kfenv.models.model import Component, Motion, Sensor
+from kfenv.filters.transforms import StateFunction, angle_indices, sigma_weights, wrap
+from kfenv.models.model import Motion, Sensor
 from kfenv.models.namespaces import batch, dual
 
 Array = NDArray[np.float64]
 Status = NDArray[np.int64]
-OK, BAD_PREDICTION, BAD_INNOVATION, BAD_UPDATE, NOT_POSITIVE_DEFINITE = range(5)
 
 
 class ReferenceFilter:
@@ -52,8 +62,8 @@ class ReferenceFilter:
         self._form = square_root if self.design.form == "square-root" else covariance
         self._plain, self._dual = motion.build(batch), motion.build(dual)
         self._measure = sensor.build(batch), sensor.build(dual)
-        self._state_angles = _angles(motion.states)
-        self._channel_angles = _angles(sensor.channels)
+        self._state_angles = angle_indices(motion.states)
+        self._channel_angles = angle_indices(sensor.channels)
 
     def __reduce__(self):
         return ReferenceFilter, (self.motion, self.sensor, self.design)
@@ -169,7 +179,7 @@ class ReferenceFilter:
         for (row, column), entry in zip(self.motion.noise_pattern, entries, strict=True):
             noise[:, row, column] = entry
         self._blame_covariance(spread, new_mean, status)
-        _blame(status, BAD_PREDICTION, new_mean, root)
+        blame(status, BAD_PREDICTION, new_mean, root)
         return Prediction(new_mean, root, noise)
 
     def _update(self, prediction, fading, process_scale, s, z, sd, status, correct) -> Update:
@@ -180,15 +190,19 @@ class ReferenceFilter:
         arrived = present.any(axis=1)
         with np.errstate(all="ignore"):
             spread = self._form.add_noise(*prediction[1:], fading, process_scale)
+        if self._form is square_root and not arrived.any():  # nothing to work out
+            blame(status, NOT_POSITIVE_DEFINITE, spread)
+            return Update(prediction.mean.copy(), spread, *_nothing(z))
+        with np.errstate(all="ignore"):
             found = self._form.correct(measure, prediction.mean, spread, known, noise, self.design)
             told = _tell(found, present)
         self._blame_covariance(spread, found.innovation, status)
-        _blame(status, BAD_INNOVATION, np.where(arrived, found.nis, 0.0)[:, None])
+        blame(status, BAD_INNOVATION, np.where(arrived, found.nis, 0.0)[:, None])
         take = arrived & correct
         mean = np.where(take[:, None], wrap(found.mean, self._state_angles), prediction.mean)
         spread = np.where(take[:, None, None], found.spread, spread)
-        _blame(status, BAD_UPDATE, mean)
-        _blame(status, NOT_POSITIVE_DEFINITE, spread)
+        blame(status, BAD_UPDATE, mean)
+        blame(status, NOT_POSITIVE_DEFINITE, spread)
         return Update(mean, spread, *told)
 
     def _filter(
@@ -204,7 +218,7 @@ class ReferenceFilter:
         for t in range(steps):
             if t == 0:
                 prediction = Prediction(mean, spread, np.zeros_like(spread))
-                _blame(status, BAD_PREDICTION, mean, spread)
+                blame(status, BAD_PREDICTION, mean, spread)
             else:
                 elapsed = np.full(batch_size, dt[t])
                 prediction = self._predict(mean, spread, u[:, t], elapsed, status)
@@ -231,15 +245,9 @@ class ReferenceFilter:
             status[guilty] = np.where(status[guilty] == OK, NOT_POSITIVE_DEFINITE, status[guilty])
 
 
-def _angles(components: tuple[Component, ...]) -> NDArray[np.intp]:
-    return np.flatnonzero([component.angle for component in components])
-
-
-def _blame(status: Status, code: int, *results: Array) -> None:
-    """Set the status of the filters, so far sound, whose results are not finite."""
-    for result in results:
-        broken = ~np.isfinite(result.reshape(len(status), -1)).all(axis=1)
-        status[broken & (status == OK)] = code
+def _nothing(z: Array) -> tuple[Array, ...]:
+    """The last five fields of `Update` where no channel arrived."""
+    return *np.full((3, *z.shape), np.nan), np.full(len(z), np.nan), np.zeros(len(z))
 
 
 def _tell(found: Correction, present: NDArray[np.bool_]) -> tuple[Array, ...]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+OK, BAD_PREDICTION, BAD_INNOVATION, BAD_UPDATE, NOT_POSITIVE_DEFINITE = range(5)
 FAILURES = (
     "",
     "the prediction is not finite: the state has left the motion model's domain",
@@ -56,6 +57,13 @@ class History(NamedTuple):
     failed_at: NDArray[np.int64]  # (B,)
     covariance: Array  # (B, T, n, n)
     factor: Array | None  # (B, T, n, n) lower factors, None where the filter carries none
+
+
+def blame(status: NDArray[np.int64], code: int, *results: Array) -> None:
+    """Set the status of the filters, so far sound, whose results (B, ...) are not finite."""
+    for result in results:
+        broken = ~np.isfinite(result.reshape(len(status), -1)).all(axis=1)
+        status[broken & (status == OK)] = code
 
 
 def describe_failures(status: NDArray[np.int64], failed_at: NDArray[np.int64]) -> list[str]:

@@ -11,10 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kfenv.filters.designs import FilterDesign
+from kfenv.models.model import Component
 from kfenv.models.namespaces.dual import Dual, seed
 
 Array = NDArray[np.float64]
 TWO_PI = 2.0 * pi
+
+
+def angle_indices(components: tuple[Component, ...]) -> NDArray[np.intp]:
+    """Where angles stand among states or channels."""
+    return np.flatnonzero([component.angle for component in components])
 
 
 def wrap(values: Array, angles: NDArray[np.intp]) -> Array:

@@ -283,12 +283,12 @@ def check_start(fault: object) -> None:
 
 
 def log_uniform(rng: Generator, bounds: Range) -> float:
-    """A number between positive bounds, evenly on a log scale."""
+    """A number between the bounds, its logarithm uniform."""
     return float(np.exp(rng.uniform(np.log(bounds[0]), np.log(bounds[1]))))
 
 
 def draw_start(start: float | None, duration: float, draft: Draft, rng: Generator) -> float:
-    """The given start, or one at which the duration still fits into the episode, s."""
+    """The start given, or one at random that leaves room for the duration; draws either way."""
     first, last = draft.time[0], draft.time[-1]
     drawn = rng.uniform(first, max(last - duration, first))
     return drawn if start is None else start

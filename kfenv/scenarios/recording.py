@@ -35,6 +35,8 @@ class Recording:
         motion_inputs, sensor_inputs: known inputs (B, T, p), (B, T, k).
         truth: (B, T, n), or None for a real log without one.
         true_noise: (B, T, m) standard deviations the noise was drawn with, or None.
+        scored: (B, T) one where the truth counts in scores and zero where it is only a guess
+            to be drawn; None if it counts everywhere.
         faults: for each episode its labelled intervals.
 
     Raises:
@@ -51,6 +53,7 @@ class Recording:
     sensor_inputs: Array
     truth: Array | None = None
     true_noise: Array | None = None
+    scored: Array | None = None
     faults: tuple[tuple[FaultInterval, ...], ...] = ()
 
     def __post_init__(self) -> None:
@@ -81,6 +84,13 @@ class Recording:
         }
         return Recording(**arrays, faults=tuple(self.faults[i] for i in chosen))
 
+    @property
+    def scored_instants(self) -> Array:
+        """Number of instants (B,) at which the truth counts."""
+        if self.scored is None:
+            return np.full(len(self), float(len(self.time)))
+        return self.scored.sum(axis=1)
+
     def _check_shapes(self) -> None:
         if self.measurement.ndim != 3 or self.mean.ndim != 2:
             raise ValueError(
@@ -99,6 +109,7 @@ class Recording:
             "sensor_inputs": (batch, steps, None),
             "truth": (batch, steps, n),
             "true_noise": (batch, steps, m),
+            "scored": (batch, steps),
         }
         for name, shape in expected.items():
             value = getattr(self, name)
@@ -122,7 +133,8 @@ class Recording:
     def _check_values(self) -> None:
         if not np.all(np.diff(self.time) > 0.0):
             raise ValueError("Recording.time must increase strictly: drop duplicate times.")
-        for name in ("time", "noise", "mean", "factor", "motion_inputs", "truth", "true_noise"):
+        finite = ("time", "noise", "mean", "factor", "motion_inputs", "truth", "true_noise")
+        for name in (*finite, "scored"):
             value = getattr(self, name)
             if value is not None and not np.all(np.isfinite(value)):
                 raise ValueError(
@@ -131,6 +143,8 @@ class Recording:
                 )
         if np.any(np.isinf(self.measurement)):
             raise ValueError("Recording.measurement holds infinity; mark what is missing by NaN.")
+        if self.scored is not None and not np.all((self.scored == 0.0) | (self.scored == 1.0)):
+            raise ValueError("Recording.scored must hold nothing but ones and zeros.")
         for name in ("noise", "true_noise"):
             value = getattr(self, name)
             if value is not None and not np.all(value > 0.0):

@@ -44,6 +44,8 @@ class TrackingScenario(ABC):
         circular: channels that are angles all around and so kept within (-pi, pi].
         error_scale: what errors are measured by in rewards and observations, m.
         lost_distance: a greater position error is a lost track, m.
+        mixture: share of outliers in the measurements and ratio of their variance to the
+            nominal one, where the scenario has any to tell a Gaussian sum.
 
     Raises:
         ValueError: for an argument that is none, or an unknown fault.
@@ -60,6 +62,7 @@ class TrackingScenario(ABC):
     circular: ClassVar[tuple[int, ...]] = ()
     error_scale: ClassVar[float]
     lost_distance: ClassVar[float] = 10_000.0  # SPEC 7.1
+    mixture: ClassVar[tuple[float, float] | None] = None
 
     def __post_init__(self) -> None:
         if not is_number(self.rate) or not MIN_RATE <= self.rate <= MAX_RATE:
@@ -97,6 +100,11 @@ class TrackingScenario(ABC):
     def dimensions(self) -> tuple[int, int]:
         """Number of motion inputs and of sensor inputs."""
         return len(self.motion.inputs), len(self.sensor.inputs)
+
+    @property
+    def steps_per_measurement(self) -> int:
+        """Filter steps from one measurement to the next, faults aside."""
+        return 1
 
     @property
     def initial_deviations(self) -> Array:

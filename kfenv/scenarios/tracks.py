@@ -8,9 +8,7 @@ jitter out and gives continuous velocity and acceleration at any time.
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, fields
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +16,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
+from kfenv.scenarios.columns import read_columns
 from kfenv.scenarios.coverage import CHECK_STEP, check_time, place, turn
 
 if TYPE_CHECKING:
@@ -146,14 +145,9 @@ def load_track(path: str | Path) -> Track:
         FileNotFoundError: if there is no such file.
         ValueError: if it is no CSV file, or as in `Track`; the message names the file.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"there is no track file {path}.")
+    columns = read_columns(path, "track", COLUMNS)
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            return Track(*_read_columns(csv.reader(file)))
-    except (csv.Error, UnicodeDecodeError):
-        raise ValueError(f"{path} is not a CSV text file.") from None
+        return Track(*columns)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
@@ -310,35 +304,6 @@ class _Frame:
 
 def _as_states(motion: Array) -> Array:
     return motion.transpose(2, 0, 1).reshape(-1, 9)
-
-
-def _read_columns(rows) -> list[Array]:
-    header = [name.strip() for name in next(rows, [])]
-    for column in COLUMNS:
-        if column not in header:
-            raise ValueError(_missing(column, header))
-    places = [header.index(column) for column in COLUMNS]
-    values = [
-        [_number(row, place, header[place], rows.line_num) for place in places]
-        for row in rows
-        if row
-    ]
-    return list(np.array(values, dtype=float).reshape(-1, len(COLUMNS)).T)
-
-
-def _missing(column: str, header: list[str]) -> str:
-    close = get_close_matches(column, header, n=1, cutoff=0.4)
-    hint = f"; rename {close[0]!r} if that is it" if close else ""
-    found = ", ".join(header) if header else "nothing"
-    return f"column {column!r} is missing{hint}. A track has {', '.join(COLUMNS)}; found {found}."
-
-
-def _number(row: list[str], place: int, column: str, line: int) -> float:
-    text = row[place] if place < len(row) else ""
-    try:
-        return float(text)
-    except ValueError:
-        raise ValueError(f"column {column!r} in line {line} is no number: {text!r}.") from None
 
 
 def _check_column(column: str, value: Array, rows: int) -> None:

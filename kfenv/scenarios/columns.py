@@ -1,0 +1,72 @@
+"""Named columns of numbers from CSV files."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from difflib import get_close_matches
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def read_columns(path: str | PathLike[str], what: str, columns: Sequence[str]) -> list[Array]:
+    """Read columns by their names in the first line; others are ignored.
+
+    Args:
+        path: of the file.
+        what: the file is, e.g. ``"track"``, for complaints.
+        columns: their names.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if it is no CSV file, a column is missing or holds what is no number;
+            the message names the file.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no {what} file {path}.")
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            return _read(csv.reader(file), what, columns)
+    except (csv.Error, UnicodeDecodeError):
+        raise ValueError(f"{path} is not a CSV text file.") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _read(rows, what: str, columns: Sequence[str]) -> list[Array]:
+    header = [name.strip() for name in next(rows, [])]
+    for column in columns:
+        if column not in header:
+            raise ValueError(_missing(what, columns, column, header))
+    places = [header.index(column) for column in columns]
+    values = [
+        [_number(row, place, header[place], rows.line_num) for place in places]
+        for row in rows
+        if row
+    ]
+    return list(np.array(values, dtype=float).reshape(-1, len(columns)).T)
+
+
+def _missing(what: str, columns: Sequence[str], column: str, header: list[str]) -> str:
+    close = get_close_matches(column, header, n=1, cutoff=0.4)
+    hint = f"; rename {close[0]!r} if that is it" if close else ""
+    found = ", ".join(header) if header else "nothing"
+    article = "An" if what[0] in "aeioAEIO" else "A"
+    return (
+        f"column {column!r} is missing{hint}. {article} {what} has {', '.join(columns)}; "
+        f"found {found}."
+    )
+
+
+def _number(row: list[str], place: int, column: str, line: int) -> float:
+    text = row[place] if place < len(row) else ""
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"column {column!r} in line {line} is no number: {text!r}.") from None

@@ -1,0 +1,269 @@
+"""Files of real inertial and GNSS logs: columns, units and axes, checked at the door.
+
+An inertial file has the columns ``t`` (s), ``fx, fy, fz`` (specific force, m/s^2) and ``wx, wy,
+wz`` (angular rate, rad/s) along forward, right and down; a sample stands for the interval
+that ends at its time. A GNSS file has ``t`` (s, the same clock), ``lat, lon`` (deg), ``height``
+(m above the ellipsoid), ``vn, ve, vd`` (m/s, north, east, down) and the standard deviations
+``sd_n, sd_e, sd_d`` (m) and ``sd_vn, sd_ve, sd_vd`` (m/s). A file with the truth has the first
+seven of these. Further columns are ignored.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kfenv.models.strapdown import GRAVITY
+from kfenv.scenarios.columns import read_columns
+
+Array = NDArray[np.float64]
+Path = str | PathLike[str]
+
+IMU_COLUMNS = ("t", "fx", "fy", "fz", "wx", "wy", "wz")
+TRUTH_COLUMNS = ("t", "lat", "lon", "height", "vn", "ve", "vd")
+GNSS_COLUMNS = (*TRUTH_COLUMNS, "sd_n", "sd_e", "sd_d", "sd_vn", "sd_ve", "sd_vd")
+MIN_ROWS = 10
+MAX_IMU_GAP = 0.5  # s without a sample
+
+SPAN = 5.0  # s over which the two files are compared, so that noise averages out
+MIN_SPANS = 4
+MOVING = 3.0  # m/s: slower, the course is noise
+TURNING = 0.02  # rad/s rms: with less turning the gyroscopes cannot be checked by the course
+CLIMBING = 0.5  # m/s rms, likewise for the sign of vd
+FASTEST = 3.0  # rad/s rms: no vehicle turns so all the time
+
+
+@dataclass(frozen=True, eq=False)
+class ImuLog:
+    """Inertial samples: time (N,) s, and (N, 6) specific force and angular rate."""
+
+    path: str
+    time: Array
+    samples: Array
+
+    def integral(self, time: Array) -> Array:
+        """Integral (T, 6) of the samples from the first one to the times (T,)."""
+        steps = np.diff(self.time, prepend=self.time[0])[:, None]
+        total = np.cumsum(self.samples * steps, axis=0)
+        return np.stack([np.interp(time, self.time, column) for column in total.T], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class FixLog:
+    """Fixes, or the truth: time (M,) s, latitude, longitude (deg) and height (m), velocity
+    north, east, down (M, 3) m/s, and the standard deviations (M, 6) of position and velocity
+    (none of the truth)."""
+
+    path: str
+    time: Array
+    place: Array
+    velocity: Array
+    deviation: Array
+
+    @property
+    def interval(self) -> float:
+        """Median time between two fixes, s."""
+        return float(np.median(np.diff(self.time)))
+
+
+def read_imu(path: Path) -> ImuLog:
+    """Read an inertial file and check its units and axes by what gravity must look like.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: naming the file, the column or axis that is wrong, and the remedy.
+    """
+    columns = np.array(read_columns(path, "inertial log", IMU_COLUMNS))
+    log = ImuLog(str(path), columns[0], columns[1:].T.copy())
+    _check_rows(log.path, columns, IMU_COLUMNS)
+    _check_clock(log.path, log.time, slowest=0.2)
+    gap = int(np.argmax(np.diff(log.time)))
+    if np.diff(log.time)[gap] > MAX_IMU_GAP:
+        raise ValueError(
+            f"{log.path}: no sample for {np.diff(log.time)[gap]:.3g} s after t = "
+            f"{log.time[gap]:g} s; cut the log there and use the longer part."
+        )
+    _check_force(log)
+    if _rms(log.samples[:, 3:]) > FASTEST:
+        raise ValueError(_degrees(log.path, f"their RMS is {_rms(log.samples[:, 3:]):.3g}"))
+    return log
+
+
+def read_fixes(path: Path, truth: bool = False) -> FixLog:
+    """Read a GNSS file, or a file with the truth, which needs no standard deviations.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: naming the file, the column that is wrong, and the remedy.
+    """
+    names = TRUTH_COLUMNS if truth else GNSS_COLUMNS
+    columns = np.array(read_columns(path, "truth" if truth else "GNSS log", names))
+    log = FixLog(str(path), columns[0], columns[1:4].T, columns[4:7].T, columns[7:].T)
+    _check_rows(log.path, columns, names)
+    _check_clock(log.path, log.time, slowest=20.0)
+    for name, degrees, most in (("lat", log.place[:, 0], 90.0), ("lon", log.place[:, 1], 360.0)):
+        if np.abs(degrees).max() > most:
+            raise ValueError(
+                f"{log.path}: column {name!r} reaches {np.abs(degrees).max():g}; give degrees."
+            )
+    if not (log.deviation > 0.0).all():
+        name = names[7 + int(np.argmin(log.deviation.min(axis=0)))]
+        raise ValueError(
+            f"{log.path}: column {name!r} holds standard deviations: all must be positive."
+        )
+    return log
+
+
+def check_together(imu: ImuLog, fixes: FixLog) -> None:
+    """Complain if the two files cannot be of the same drive, or differ in units or axes.
+
+    Over spans of some seconds the way between fixes must be the integral of their
+    velocity, and the course must turn with the gyroscopes.
+
+    Raises:
+        ValueError: naming the file, what is wrong, and the remedy.
+    """
+    common = min(imu.time[-1], fixes.time[-1]) - max(imu.time[0], fixes.time[0])
+    if common < SPAN * (MIN_SPANS + 1):
+        raise ValueError(
+            f"{imu.path} and {fixes.path} have {max(common, 0.0):.3g} s in common, and "
+            f"{SPAN * (MIN_SPANS + 1):g} s are needed: give times of one clock, in seconds."
+        )
+    chosen = _spaced(fixes.time, imu.time[0], imu.time[-1])
+    if len(chosen) <= MIN_SPANS:
+        return
+    _check_velocity(fixes, chosen)
+    _check_rates(imu, fixes, chosen)
+
+
+def _check_rows(path: str, columns: Array, names: tuple[str, ...]) -> None:
+    rows = columns.shape[1]
+    if rows < MIN_ROWS:
+        raise ValueError(f"{path}: at least {MIN_ROWS} rows are needed, found {rows}.")
+    bad = ~np.isfinite(columns)
+    if bad.any():
+        row = int(np.argmax(bad.any(axis=0)))
+        name = names[int(np.argmax(bad[:, row]))]
+        value = columns[names.index(name), row]
+        raise ValueError(
+            f"{path}: column {name!r} in data row {row + 1} is {value}; leave such rows out."
+        )
+
+
+def _check_clock(path: str, time: Array, slowest: float) -> None:
+    steps = np.diff(time)
+    if not (steps > 0.0).all():
+        row = int(np.argmin(steps > 0.0))
+        raise ValueError(
+            f"{path}: column 't' does not increase in data row {row + 2}: {time[row]:g} s, then "
+            f"{time[row + 1]:g} s; sort the rows and keep one per time."
+        )
+    usual = float(np.median(steps))
+    if usual > slowest:
+        raise ValueError(
+            f"{path}: column 't' advances by {usual:g} from row to row; if these are milliseconds "
+            f"(or finer), divide it; more than {slowest:g} s is too slow."
+        )
+
+
+def _check_force(log: ImuLog) -> None:
+    """At rest or in flight, mostly the specific force is gravity's reaction: up."""
+    usual = np.median(log.samples[:, :3], axis=0)
+    size, axis = float(np.linalg.norm(usual)), int(np.argmax(np.abs(usual)))
+    numbers = ", ".join(f"{value:.3g}" for value in usual)
+    told = f"{log.path}: the usual specific force is ({numbers})"
+    if 0.6 < size < 2.0:
+        raise ValueError(f"{told}, which looks like units of g: multiply it by {GRAVITY}.")
+    if not 0.6 * GRAVITY < size < 2.0 * GRAVITY:
+        raise ValueError(
+            f"{told}, not about {GRAVITY} in size: give specific force, gravity included, in m/s^2."
+        )
+    if abs(usual[axis]) < 0.8 * size:
+        raise ValueError(f"{told}: turn its axes to the vehicle's, forward, right and down.")
+    if axis != 2:
+        raise ValueError(
+            f"{told}: gravity lies along {'xyz'[axis]}; order the axes forward, right, down."
+        )
+    if usual[2] > 0.0:
+        raise ValueError(
+            f"{told}: the z axis points up; axes forward, left, up become forward, right, down "
+            "when fy, fz, wy and wz change sign."
+        )
+
+
+def _check_velocity(fixes: FixLog, chosen: NDArray[np.int64]) -> None:
+    import pymap3d
+
+    lat, lon, height = fixes.place[chosen].T
+    steps = pymap3d.geodetic2ned(lat[1:], lon[1:], height[1:], lat[:-1], lon[:-1], height[:-1])
+    moved = np.stack(steps, axis=1)
+    dt = np.diff(fixes.time)[:, None]
+    way = np.cumsum(0.5 * dt * (fixes.velocity[1:] + fixes.velocity[:-1]), axis=0)
+    driven = np.diff(np.vstack([np.zeros(3), way])[chosen], axis=0)
+    span = np.diff(fixes.time[chosen])
+    moving = np.linalg.norm(driven[:, :2], axis=1) > MOVING * span
+    if moving.sum() >= MIN_SPANS:
+        ratio = _slope(driven[moving, :2], moved[moving, :2])
+        if not 0.7 < ratio < 1.4:
+            raise ValueError(
+                f"{fixes.path}: positions move {ratio:.3g} times as far as the velocities say: "
+                "give lat and lon in degrees, vn and ve in m/s, and keep their order."
+            )
+    if _rms(driven[:, 2] / span) > CLIMBING and _slope(driven[:, 2], moved[:, 2]) < -0.3:
+        raise ValueError(
+            f"{fixes.path}: height rises where 'vd' is positive; it must be the velocity down."
+        )
+
+
+def _check_rates(imu: ImuLog, fixes: FixLog, chosen: NDArray[np.int64]) -> None:
+    """The course's rate against the angular rate about the direction of gravity."""
+    span = np.diff(fixes.time[chosen])
+    north, east, _ = fixes.velocity[chosen].T
+    course = np.arctan2(east, north)
+    turned = np.diff(course)
+    rate = np.arctan2(np.sin(turned), np.cos(turned)) / span
+    mean = np.diff(imu.integral(fixes.time[chosen]), axis=0) / span[:, None]
+    down = -mean[:, :3] / np.linalg.norm(mean[:, :3], axis=1, keepdims=True)
+    measured = np.sum(mean[:, 3:] * down, axis=1)
+    speed = np.hypot(north, east)
+    # beyond half a turn in a span the course cannot be told
+    use = (np.minimum(speed[1:], speed[:-1]) > MOVING) & (np.abs(rate) * span < 2.0)
+    if use.sum() < MIN_SPANS or _rms(rate[use]) < TURNING:
+        return
+    ratio = _slope(rate[use], measured[use])
+    if ratio > 15.0:
+        raise ValueError(_degrees(imu.path, f"they turn {ratio:.3g} times as fast as the course"))
+    if ratio < -0.3:
+        raise ValueError(
+            f"{imu.path}: the angular rate about down turns against the GNSS course: change the "
+            "sign of wz, or of the axes that point the other way."
+        )
+    if not 0.3 < ratio < 3.0:
+        raise ValueError(
+            f"{imu.path}: the angular rate about down is {ratio:.2g} times the rate of the GNSS "
+            "course: check that both files have one clock, and the order of wx, wy, wz."
+        )
+
+
+def _degrees(path: str, why: str) -> str:
+    return f"{path}: the angular rates look like deg/s ({why}): multiply them by pi/180."
+
+
+def _spaced(time: Array, begin: float, end: float) -> NDArray[np.int64]:
+    """Fixes at least a span apart, between two times."""
+    chosen: list[int] = []
+    for i in np.flatnonzero((time >= begin) & (time <= end)):
+        if not chosen or time[i] - time[chosen[-1]] >= SPAN:
+            chosen.append(int(i))
+    return np.array(chosen, np.int64)
+
+
+def _slope(x: Array, y: Array) -> float:
+    return float(np.sum(x * y) / np.sum(x * x))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,102 @@
+"""Flights for inertial navigation: the published one, random ones, and their exact samples.
+
+A flight is an array (T, 9) of states [pN, pE, pD, vN, vE, vD, roll, pitch, yaw], m, m/s, rad.
+Velocity and attitude are prescribed at the instants; position is the trapezoid of velocity,
+and the inertial samples invert the discrete mechanisation of `kfenv.models.strapdown`, so
+that a unit without errors reproduces the flight to rounding (SPEC 7.1 E6).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from kfenv.models.rotations import exponential, logarithm, matrix_from_angles
+from kfenv.models.strapdown import GRAVITY
+from kfenv.scenarios.trajectories import random_trajectory
+
+Array = NDArray[np.float64]
+
+PAPER_HEIGHT = 1_000.0  # m
+PAPER_VELOCITY = (260.0, 70.0, -50.0)  # m/s; printed as +50 down, against a pitch of +10 deg
+PAPER_SPEED = 270.0  # m/s, of the coordinated turn: sqrt(260^2 + 70^2)
+PAPER_YAW = np.radians(10.0)  # first yaw; the track is at 15.1 deg
+PAPER_PERIOD = 50.0  # s
+
+ANGLE_OF_ATTACK = np.radians(3.0)  # of the random flights
+
+
+def paper_flight(time: Array) -> Array:
+    """The published flight (SPEC 7.1 E6): a climbing S of 50 s, begun in a bank of 45 deg.
+
+    Roll 45 cos(2 pi t / 50) deg, pitch 10 + 5 sin(2 pi t / 25) deg, yaw rate g tan(roll) / 270;
+    horizontal velocity turns with the yaw, vD = -50 cos(2 pi t / 50) m/s.
+
+    Args:
+        time: (T,) s, from 0 on.
+    """
+    phase = 2.0 * np.pi * time / PAPER_PERIOD
+    roll = np.radians(45.0) * np.cos(phase)
+    pitch = np.radians(10.0) + np.radians(5.0) * np.sin(2.0 * phase)
+    rate = GRAVITY * np.tan(roll) / PAPER_SPEED
+    turned = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time) * (rate[1:] + rate[:-1]))])
+    north, east, down = PAPER_VELOCITY
+    sine, cosine = np.sin(turned), np.cos(turned)
+    velocity = [north * cosine - east * sine, north * sine + east * cosine, down * np.cos(phase)]
+    angles = np.stack([roll, pitch, _wrapped(PAPER_YAW + turned)], axis=1)
+    start = np.array([0.0, 0.0, -PAPER_HEIGHT])
+    return _flight(time, start, np.stack(velocity, axis=1), angles)
+
+
+def random_flight(rng: Generator, time: Array) -> Array:
+    """A random flight: turns, climbs and changes of speed of `random_trajectory`, begun at 0, 0.
+
+    Turns are coordinated (the wings' lift stands in the plane of symmetry), without
+    sideslip, the nose 3 deg above the path.
+
+    Args:
+        rng: where the flight comes from; the same state gives the same bits.
+        time: (T,) s.
+    """
+    states = random_trajectory(rng, time)
+    axes = ([3, 0, 6], [4, 1, 7], [5, 2, 8])
+    sign = np.array([1.0, 1.0, -1.0])
+    _, velocity, acceleration = (states[:, index] * sign for index in axes)
+    start = np.array([0.0, 0.0, -states[0, 6]])
+    return _flight(time, start, velocity, _coordinated(velocity, acceleration))
+
+
+def exact_samples(truth: Array, time: Array) -> Array:
+    """The inertial samples (T, 6) that carry each state of a flight (T, 9) to the next.
+
+    Row t belongs to the step from t - 1 to t; row 0, which drives none, repeats row 1.
+    """
+    dt = np.diff(time)[:, None]
+    C = matrix_from_angles(truth[:, 6:])
+    turned = logarithm(C[:-1].transpose(0, 2, 1) @ C[1:])
+    middle = C[:-1] @ exponential(0.5 * turned)
+    pull = np.diff(truth[:, 3:6], axis=0) / dt - np.array([0.0, 0.0, GRAVITY])
+    force = np.einsum("tji,tj->ti", middle, pull)
+    samples = np.hstack([force, turned / dt])
+    return np.vstack([samples[:1], samples])
+
+
+def _coordinated(velocity: Array, acceleration: Array) -> Array:
+    """Roll, pitch and yaw (T, 3) of a flight without sideslip."""
+    north, east, down = velocity.T
+    ground_squared = north**2 + east**2
+    yaw = np.arctan2(east, north)
+    pitch = np.arctan2(-down, np.sqrt(ground_squared)) + ANGLE_OF_ATTACK
+    across = (north * acceleration[:, 1] - east * acceleration[:, 0]) / np.sqrt(ground_squared)
+    return np.stack([np.arctan2(across, GRAVITY - acceleration[:, 2]), pitch, yaw], axis=1)
+
+
+def _flight(time: Array, start: Array, velocity: Array, angles: Array) -> Array:
+    step = 0.5 * np.diff(time)[:, None] * (velocity[1:] + velocity[:-1])
+    position = start + np.vstack([np.zeros(3), np.cumsum(step, axis=0)])
+    return np.hstack([position, velocity, angles])
+
+
+def _wrapped(angle: Array) -> Array:
+    return np.arctan2(np.sin(angle), np.cos(angle))

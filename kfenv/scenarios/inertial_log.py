@@ -1,0 +1,254 @@
+"""Real inertial and GNSS logs as episodes: resampled, aligned, cut into windows (SPEC 3.5, 4.4).
+
+A log's time is divided, in its order, into a part to train and tune on, one to validate
+and one to test on. Where no truth is known, the fixes that faults withhold from the filter
+are the yardstick: only there do errors count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kfenv.models.strapdown import GRAVITY
+from kfenv.scenarios.inertial_files import (
+    MOVING,
+    FixLog,
+    ImuLog,
+    check_together,
+    read_fixes,
+    read_imu,
+)
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# Shares of the log's time; "tuning" is for training too
+PARTS = {"tuning": (0.0, 0.3), "validation": (0.3, 0.5), "test": (0.5, 1.0)}
+
+CHANNELS = 6
+ALIGNMENT = 1.0  # s of samples before and after a window's start that give its attitude
+ALIGNED = np.radians([3.0, 3.0, 10.0])  # how well: roll and pitch by gravity, yaw by the course
+
+
+@dataclass(frozen=True)
+class Window:
+    """A stretch of T instants of a log, in the north-east-down frame at its first fix.
+
+    Attributes:
+        samples: (T, 6), row t for the step from t - 1 to t.
+        fix: (T, 6) position and velocity, zero where no fix falls on the instant.
+        deviation: (T, 6) of the fixes.
+        arrived: (T,) whether a fix falls on the instant.
+        mean, factor: initial state (9,) and factor (9, 9), from the first fix, which is spent.
+        truth: (T, 9) the true track, or the one that the fixes suggest; of the attitude the
+            yaw alone, as the course.
+    """
+
+    samples: Array
+    fix: Array
+    deviation: Array
+    arrived: NDArray[np.bool_]
+    mean: Array
+    factor: Array
+    truth: Array
+
+
+@dataclass(frozen=True, eq=False)
+class InertialLog:
+    """A pair of logs on evenly spaced instants.
+
+    Attributes:
+        imu, fixes, truth: what was read; no truth is None.
+        rate: instants per second.
+        time: (K,) of the instants, s of the log's clock.
+        samples: (K, 6) means of the samples between an instant and the one before.
+        used: (M,) the fixes that fall on instants, in order.
+        row: (M,) the nearest instant of each.
+    """
+
+    imu: ImuLog
+    fixes: FixLog
+    truth: FixLog | None
+    rate: float
+    time: Array
+    samples: Array
+    used: Indices
+    row: Indices
+
+    @property
+    def steps_per_fix(self) -> int:
+        """Usual number of instants from one fix to the next."""
+        return max(1, round(self.fixes.interval * self.rate))
+
+    def starts(self, duration: float, part: str) -> Indices:
+        """All places in `used` at which a window of that part may begin.
+
+        Raises:
+            ValueError: if there is none.
+        """
+        low, high = (share * (len(self.time) - 1) for share in PARTS[part])
+        whole = self.time[-1] - self.time[0]
+        margin = ALIGNMENT * self.rate
+        first = np.maximum(low, margin)
+        last = np.minimum(high, len(self.time) - 1) - round(duration * self.rate)
+        speed = np.hypot(*self.fixes.velocity[self.used, :2].T)
+        room = (self.row >= first) & (self.row <= last)
+        if not room.any():
+            raise ValueError(
+                f"{self.imu.path}: the part for {part} ({np.ptp(PARTS[part]):.0%} of "
+                f"{whole:.4g} s) has no room for a window of {duration:g} s; give a longer log or "
+                "a shorter duration."
+            )
+        places = np.flatnonzero(room & (speed > MOVING))
+        if not len(places):
+            raise ValueError(
+                f"{self.fixes.path}: in the part for {part} the vehicle never moves faster than "
+                f"{MOVING:g} m/s, which its yaw is aligned by; leave out where it stands."
+            )
+        return places
+
+    def apart(self, duration: float, part: str) -> Indices:
+        """Starts of windows that do not overlap, as many as fit."""
+        chosen: list[int] = []
+        for place in self.starts(duration, part):
+            if not chosen or self.row[place] > self.row[chosen[-1]] + round(duration * self.rate):
+                chosen.append(int(place))
+        return np.array(chosen)
+
+    def window(self, start: int, duration: float) -> Window:
+        """The window that begins at a fix."""
+        begin = self.row[start]
+        rows = begin + np.arange(round(duration * self.rate) + 1)
+        inside = slice(start, np.searchsorted(self.row, rows[-1], side="right"))
+        used, places = self.used[inside], self.row[inside] - begin
+        origin = self.fixes.place[used[0]]
+        fixes = self._local(self.fixes, used, origin)
+        # moved along its velocity to the instant that it falls on
+        late = self.time[self.row[inside]] - self.fixes.time[used]
+        fixes[:, :3] += late[:, None] * fixes[:, 3:]
+        usual = np.median(self.fixes.deviation[self.used], axis=0)
+        fix, deviation = np.zeros((len(rows), CHANNELS)), np.tile(usual, (len(rows), 1))
+        fix[places], deviation[places] = fixes, self.fixes.deviation[used]
+        arrived = np.zeros(len(rows), bool)
+        arrived[places] = True
+        arrived[0] = False
+        attitude = self._aligned(start)
+        truth = self._track(self.time[rows], origin)
+        return Window(
+            self.samples[rows], fix, deviation, arrived, np.concatenate([fixes[0], attitude]),
+            np.diag(np.concatenate([self.fixes.deviation[used[0]], ALIGNED])), truth,
+        )  # fmt: skip
+
+    def _local(self, log: FixLog, rows: Indices, origin: Array) -> Array:
+        """Positions north, east, down of the origin, and velocities, (k, 6)."""
+        import pymap3d
+
+        position = pymap3d.geodetic2ned(*log.place[rows].T, *origin)
+        return np.hstack([np.stack(position, axis=1), log.velocity[rows]])
+
+    def _track(self, time: Array, origin: Array) -> Array:
+        """States (T, 9) between the true places, or the fixes: cubic, by their velocities."""
+        from scipy.interpolate import CubicHermiteSpline
+
+        log = self.truth or self.fixes
+        near = np.flatnonzero((log.time > time[0] - 30.0) & (log.time < time[-1] + 30.0))
+        local = self._local(log, near, origin)
+        spline = CubicHermiteSpline(log.time[near], local[:, :3], local[:, 3:])
+        position, velocity = spline(time), spline.derivative()(time)
+        states = np.zeros((len(time), 9))
+        states[:, :3], states[:, 3:6] = position, velocity
+        states[:, 8] = np.arctan2(velocity[:, 1], velocity[:, 0])
+        return states
+
+    def _aligned(self, start: int) -> Array:
+        """Roll, pitch and yaw at a fix: gravity levels, the course points (no sideslip).
+
+        The acceleration of the velocity in the fixes around is taken out first, so that
+        a turn is not mistaken for level flight.
+        """
+        now = self.time[self.row[start]]
+        around = np.array([now - ALIGNMENT, now + ALIGNMENT])
+        force = np.diff(self.imu.integral(around), axis=0)[0, :3] / (2.0 * ALIGNMENT)
+        near = self.used[np.abs(self.fixes.time[self.used] - now) <= 1.5 * ALIGNMENT]
+        near = near if len(near) > 1 else self.used[max(start - 1, 0) : start + 2]
+        since, velocity = self.fixes.time[near] - now, self.fixes.velocity[near]
+        since = since - since.mean()
+        acceleration = since @ (velocity - velocity.mean(axis=0)) / (since @ since)
+        north, east, _ = self.fixes.velocity[self.used[start]]
+        return level(force, acceleration - [0.0, 0.0, GRAVITY], float(np.arctan2(east, north)))
+
+
+def level(force: Array, pull: Array, yaw: float) -> Array:
+    """Roll, pitch and yaw (3,) that turn a specific force (3,) in the body into `pull` (3,).
+
+    Args:
+        force: along the body's axes, m/s^2.
+        pull: the same vector along north, east, down: acceleration less gravity.
+        yaw: rad.
+    """
+    sine, cosine = np.sin(yaw), np.cos(yaw)
+    along, across = pull[0] * cosine + pull[1] * sine, pull[1] * cosine - pull[0] * sine
+    side = np.hypot(force[1], force[2])
+    # across = side sin(a - roll) with force = side (sin a, cos a), and cos(a - roll) < 0
+    roll = np.arctan2(force[1], force[2]) - np.pi + np.arcsin(np.clip(across / side, -1.0, 1.0))
+    below = force[1] * np.sin(roll) + force[2] * np.cos(roll)
+    pitch = np.arctan2(below, force[0]) - np.arctan2(pull[2], along)
+    return np.array([_wrapped(roll), _wrapped(pitch), yaw])
+
+
+@lru_cache(maxsize=8)
+def read_log(paths: tuple[str, ...], rate: float) -> InertialLog:
+    """Read and check an inertial file, a GNSS file and perhaps one with the truth.
+
+    Args:
+        paths: of the two or three files.
+        rate: instants per second.
+
+    Raises:
+        FileNotFoundError: if a file is not there.
+        ValueError: naming the file, what is wrong with it, and the remedy.
+    """
+    imu, fixes = read_imu(paths[0]), read_fixes(paths[1])
+    truth = read_fixes(paths[2], truth=True) if len(paths) > 2 else None
+    check_together(imu, fixes)
+    own = 1.0 / float(np.median(np.diff(imu.time)))
+    if own < 0.9 * rate:
+        raise ValueError(
+            f"{imu.path} has {own:.4g} samples per second, but rate={rate:g}: set rate to "
+            f"{np.floor(own):g} or less."
+        )
+    begin, end = max(imu.time[0], fixes.time[0]), min(imu.time[-1], fixes.time[-1])
+    if truth is not None:
+        begin, end = max(begin, truth.time[0]), min(end, truth.time[-1])
+    time = begin + np.arange(int((end - begin) * rate + 1e-6) + 1) / rate
+    total = imu.integral(time)
+    samples = np.diff(total, axis=0) * rate
+    samples = np.vstack([samples[:1], samples])
+    row = np.rint((fixes.time - begin) * rate).astype(np.int64)
+    used = np.flatnonzero((row >= 0) & (row < len(time)))
+    used = used[np.unique(row[used], return_index=True)[1]]  # one fix an instant
+    return InertialLog(imu, fixes, truth, rate, time, samples, used, row[used])
+
+
+def check_paths(log: object) -> tuple[str, ...]:
+    """The paths of a log as a tuple.
+
+    Raises:
+        ValueError: if they are not two or three.
+    """
+    right = isinstance(log, Sequence) and not isinstance(log, str) and 2 <= len(log) <= 3
+    if not right or not all(isinstance(path, str) or hasattr(path, "__fspath__") for path in log):
+        raise ValueError(
+            "log must be the paths of an inertial and a GNSS file, and perhaps of one with the "
+            f"truth, got {log!r}."
+        )
+    return tuple(str(path) for path in log)
+
+
+def _wrapped(angle: float) -> float:
+    return float(np.arctan2(np.sin(angle), np.cos(angle)))

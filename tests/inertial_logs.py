@@ -1,0 +1,63 @@
+"""Inertial and GNSS logs of a simulated drive, written as the CSV files that a user brings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pymap3d
+from numpy.typing import NDArray
+
+from kfenv.scenarios.inertial_files import GNSS_COLUMNS, IMU_COLUMNS, TRUTH_COLUMNS
+from kfenv.scenarios.inertial_flights import exact_samples, random_flight
+
+Array = NDArray[np.float64]
+
+ORIGIN = (45.2, 7.6, 300.0)
+CLOCK = 1000.0  # s, the log's first time
+DEVIATION = np.array([1.5, 1.5, 3.0, 0.1, 0.1, 0.2])
+
+
+class Drive(NamedTuple):
+    """What two or three files hold, as arrays with a column per name."""
+
+    imu: Array
+    gnss: Array
+    truth: Array
+
+    def write(self, folder: Path) -> tuple[str, str, str]:
+        """Write the files and tell their paths."""
+        paths = []
+        for name, table, columns in (
+            ("imu.csv", self.imu, IMU_COLUMNS), ("gnss.csv", self.gnss, GNSS_COLUMNS),
+            ("truth.csv", self.truth, TRUTH_COLUMNS),
+        ):  # fmt: skip
+            paths.append(str(folder / name))
+            np.savetxt(paths[-1], table, "%.17g", ",", header=",".join(columns), comments="")
+        return tuple(paths)
+
+
+def drive(
+    duration: float = 300.0, rate: float = 100.0, every: int = 20, noisy: bool = True, seed: int = 1
+) -> tuple[Drive, Array]:
+    """A flight of gentle turns with a good inertial unit, and its states (T, 9)."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(duration * rate) + 1) / rate
+    flight = random_flight(rng, time)
+    samples = exact_samples(flight, time)
+    deviation = np.tile(DEVIATION, (len(time[::every]), 1))
+    fix = flight[::every, :6] + noisy * deviation * rng.standard_normal(deviation.shape)
+    if noisy:
+        samples = samples + ([0.03] * 3 + [0.0005] * 3)
+        samples += rng.standard_normal(samples.shape) * ([0.05] * 3 + [0.001] * 3)
+    clock = CLOCK + time[:, None]
+    return Drive(
+        np.hstack([clock, samples]),
+        np.hstack([clock[::every], _geodetic(fix[:, :3]), fix[:, 3:], deviation]),
+        np.hstack([clock, _geodetic(flight[:, :3]), flight[:, 3:6]]),
+    ), flight
+
+
+def _geodetic(position: Array) -> Array:
+    return np.stack(pymap3d.ned2geodetic(*position.T, *ORIGIN), axis=1)
