@@ -155,7 +155,7 @@ def evaluate(
 def reproduce(
     experiment: Annotated[
         str,
-        typer.Argument(metavar="NAME", help="E1, E2, E3, E5, E6, hard (lost tracks), or all."),
+        typer.Argument(metavar="NAME", help="E1 to E6, hard (lost tracks), or all."),
     ],
     output: Annotated[Path, typer.Option(help="New folder for figures and claims.")],
     runs: Annotated[
@@ -168,7 +168,8 @@ def reproduce(
     """Repeat the experiments of the papers: figures, and a table of which claims hold.
 
     E1 and E2: radar of constant noise at 10 and 2 Hz; E3: phased array under jamming and loss;
-    E5: bistatic tracking; E6: inertial navigation; hard: lost tracks in hard geometry.
+    E4: GNSS under a clock fault; E5: bistatic tracking; E6: inertial navigation with outlying
+    fixes; hard: lost tracks in hard geometry.
     claims.md holds the table.
     """
     from .reproduction.claims import claims_table

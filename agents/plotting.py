@@ -15,7 +15,9 @@ from .files import written_whole
 # Okabe and Ito's palette, told apart with any colour vision, and some more.
 COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7", "#999999",
            "#7F3B08", "#B2ABD2", "#35978F", "#C51B7D", "#F0E442", "#4D4D4D", "#8073AC")  # fmt: skip
-SHADES = {"jamming": "#D55E00", "signal loss": "#777777"}
+SHADES = {"jamming": "#D55E00", "clock degradation": "#CC79A7", "signal loss": "#777777",
+          "PLL failure": "#777777", "range step": "#0072B2", "range ramp": "#009E73",
+          "multipath": "#E69F00"}  # fmt: skip
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -25,7 +27,7 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def shade(axes: Axes, faults: Sequence[FaultInterval], labelled: bool = True) -> None:
-    """Shade the intervals of jamming and signal loss."""
+    """Shade the intervals of jamming, a degraded clock, and loss of all signals."""
     seen: set[str] = set()
     for fault in faults:
         if fault.label not in SHADES:

@@ -195,6 +195,15 @@ def test_no_state_at_rest_or_overhead_is_singular(x):
     assert np.isfinite(radar().build(scalar)(tuple(x), ())).all()
 
 
+def test_hard_acceleration_at_low_speed_does_not_explode():
+    """A sigma point of a vague prior: unclipped, its speed would be 1e9 m/s after 10 s."""
+    step = variable_turn().build(scalar).step
+    x = (0.0, 100.0, 0.0, 0.0, 0.0, 1200.0, 0.0, 0.0, 0.0)
+    for _ in range(40):
+        x = step(x, (), 0.25)
+    assert np.hypot(x[1], x[4]) < 1e5
+
+
 def test_azimuth_is_clockwise_from_north_in_every_quadrant():
     measure = radar().build(scalar)
     x = [0.0] * 9

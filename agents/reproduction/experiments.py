@@ -12,6 +12,7 @@ from kfenv.names import unknown
 
 from . import (
     bistatic,
+    gnss_tracking,
     hard_geometry,
     inertial_navigation,
     radar_tracking,
@@ -43,11 +44,14 @@ EXPERIMENTS: dict[str, Experiment] = {
         40,
         radar_tracking.reproduce,
     ),
-    "hard": Experiment("lost tracks in hard geometry", 200, hard_geometry.reproduce),
+    "E4": Experiment(
+        "GNSS tracking, clock fault and loss of lock (S0 sec. 5.2)", 100, gnss_tracking.reproduce
+    ),
     "E5": Experiment("bistatic tracking, linear filter (S3 sec. 5)", 2000, bistatic.reproduce),
     "E6": Experiment(
         "inertial navigation with outlying fixes (S4 sec. 5)", 100, inertial_navigation.reproduce
     ),
+    "hard": Experiment("lost tracks in hard geometry", 200, hard_geometry.reproduce),
 }
 
 

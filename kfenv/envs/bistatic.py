@@ -24,11 +24,12 @@ class BistaticTrackingEnv(TrackingEnv):
 
     ``info`` holds, after ``reset`` and every ``step``: ``time`` (s) of the update made
     last, its ``estimate`` (9 states: position, velocity and acceleration along x, y, z;
-    m, m/s, m/s^2), ``position_error`` (m) and ``nis``; of the measurement
-    that is pending ``innovation`` and ``innovation_variance`` (m and m^2, NaN in channels
-    that are missing and at the episode's end) and ``noise`` (the standard deviations
-    that the filter is told); where the truth is known ``truth`` and ``nees`` (of the
-    position, 3 degrees of freedom); after a step ``knobs``, the factors applied.
+    m, m/s, m/s^2), ``position_error`` (m) and ``nis`` (0 if nothing arrived); of
+    the measurement that is pending ``innovation`` and ``innovation_variance`` (m and m^2;
+    zero and infinite in channels that are missing and at the episode's end) and ``noise``
+    (the standard deviations that the filter is told); where the truth is known ``truth``
+    and ``nees`` (of the position, 3 degrees of freedom); after a step ``knobs``, the
+    factors applied.
 
     ## Action Space
     ``Box(-1, 1, (5,), float32)``, one component a per knob, less where ``actions``

@@ -17,8 +17,8 @@ from kfenv.models.kinematics import (
 )
 from kfenv.models.model import Motion, MotionFunctions
 
-MAX_DAMPING = 2.0  # |alpha| in the process noise, 1/s
-MAX_TURN_RATE_SQUARED = 4.0  # omega_c^2 in the process noise, 1/s^2
+MAX_DAMPING = 2.0  # |alpha|, 1/s
+MAX_TURN_RATE_SQUARED = 4.0  # omega_c^2, 1/s^2
 TAYLOR_TERMS = 16  # of the impulse response: 1e-11 relative at 2 Hz and the clips above
 
 
@@ -31,6 +31,10 @@ def variable_turn(spectral_density: float = 1.0, speed_floor: float = 10.0) -> M
     at the step's start; its factor comes from an eight-node Gauss-Legendre rule,
     since the published closed form loses all its digits at an aircraft's turn
     rates (SPEC 3.3). Keep dt <= 1 s.
+
+    alpha and omega_c are clipped at 2 per second, far above an aircraft's, in the noise
+    (SPEC 3.2) and in the step as well: a sigma point of a vague prior may be slow and
+    hard accelerated, and from |a| dt / |v| = 2.8 on the step would explode.
 
     Args:
         spectral_density: q of the white jerk per axis, m^2/s^5.
@@ -50,16 +54,14 @@ def variable_turn(spectral_density: float = 1.0, speed_floor: float = 10.0) -> M
 
 
 def _build(xp: ModuleType, root_density: float, floor_squared: float) -> MotionFunctions:
-    step = _build_step(xp, floor_squared)
+    rates = _build_rates(xp, floor_squared)
+    step = _build_step(xp, rates)
     covariance = _build_covariance(xp)
 
     @xp.function
     def noise_factor(x, u, dt):
         _, vx, ax, _, vy, ay, _, vz, az = x
-        speed_squared = xp.maximum(vx * vx + vy * vy + vz * vz, floor_squared)
-        alpha = -(vx * ax + vy * ay + vz * az) / speed_squared
-        alpha = xp.minimum(xp.maximum(alpha, -MAX_DAMPING), MAX_DAMPING)
-        turn = xp.minimum((ax * ax + ay * ay + az * az) / speed_squared, MAX_TURN_RATE_SQUARED)
+        alpha, turn = rates(vx, vy, vz, ax, ay, az)
         q11, q12, q13, q22, q23, q33 = covariance(alpha, turn, dt)
         # Cholesky in units of dt^2, dt, 1, where the factor's entries are of order one
         l11 = xp.sqrt(q11)
@@ -75,16 +77,27 @@ def _build(xp: ModuleType, root_density: float, floor_squared: float) -> MotionF
     return MotionFunctions(step, noise_factor)
 
 
-def _build_step(xp: ModuleType, floor_squared: float):
+def _build_rates(xp: ModuleType, floor_squared: float):
+    @xp.function
+    def rates(vx, vy, vz, ax, ay, az):
+        """alpha and omega_c^2, clipped."""
+        inverse = 1.0 / xp.maximum(vx * vx + vy * vy + vz * vz, floor_squared)
+        alpha = -(vx * ax + vy * ay + vz * az) * inverse
+        alpha = xp.minimum(xp.maximum(alpha, -MAX_DAMPING), MAX_DAMPING)
+        return alpha, xp.minimum((ax * ax + ay * ay + az * az) * inverse, MAX_TURN_RATE_SQUARED)
+
+    return rates
+
+
+def _build_step(xp: ModuleType, rates):
     @xp.function
     def jerk(vx, vy, vz, ax, ay, az):
-        inverse = 1.0 / xp.maximum(vx * vx + vy * vy + vz * vz, floor_squared)
-        along = (vx * ax + vy * ay + vz * az) * inverse  # minus alpha
-        stiffness = along * along + (ax * ax + ay * ay + az * az) * inverse
+        alpha, turn = rates(vx, vy, vz, ax, ay, az)
+        damping, stiffness = -2.0 * alpha, alpha * alpha + turn
         return (
-            2.0 * along * ax - stiffness * vx,
-            2.0 * along * ay - stiffness * vy,
-            2.0 * along * az - stiffness * vz,
+            damping * ax - stiffness * vx,
+            damping * ay - stiffness * vy,
+            damping * az - stiffness * vz,
         )
 
     @xp.function
