@@ -296,7 +296,7 @@ def _draw(
     save(figures.rmse(study.time, {"SRUKF-J": outcomes["SRUKF-J"]} | wrong), "rmse_appendix")
     conditioned = {PRINTED.label: outcomes[PRINTED.label]} | shown
     drawn = figures.condition(study.time, conditioned)
-    drawn.axes[0].set_ylim(top=UNLIMITED)  # of both: what comes apart grows to 1e60
+    drawn.axes[0].set_ylim(1.0, UNLIMITED)  # of both: what comes apart grows to 1e60
     save(drawn, "condition")
     satellites = np.sum(np.isfinite(recording.measurement[0, study.kept, :CHANNELS]), axis=1)
     laboratory.save(gnss_figures.receiver(study.time, satellites, shown, faults), "receiver")
