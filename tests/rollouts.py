@@ -36,11 +36,13 @@ class Peculiar(NamedTuple):
         early_loss: a loss distance at which some short episodes are lost and some not, m.
         default_faults: the environment's own choice.
         faults: spoil its short episodes.
+        follows_rate: arguments that take the rate's value, so that every step has a measurement.
     """
 
     early_loss: float
     default_faults: str = "random"
     faults: dict = FAULTS
+    follows_rate: tuple[str, ...] = ()
 
 
 PECULIAR = {
@@ -48,23 +50,25 @@ PECULIAR = {
     VALIDATION: Peculiar(800.0, "none"),
     BISTATIC: Peculiar(9.0),
     INERTIAL: Peculiar(200.0),
-    GNSS: Peculiar(50.0),
+    GNSS: Peculiar(20.0, follows_rate=("measurement_rate",)),
 }
 assert set(PECULIAR) == set(kfenv.ENVIRONMENTS)
 
 
-def short(env_id: str) -> dict:
-    """Arguments for episodes of 41 decisions at 10 Hz, with faults."""
-    return {"duration": 4.0, "rate": 10.0, "faults": PECULIAR[env_id].faults}
+def short(env_id: str, **keywords) -> dict:
+    """Arguments for episodes of 41 decisions at 10 Hz, with faults, unless told otherwise."""
+    peculiar = PECULIAR[env_id]
+    arguments = {"duration": 4.0, "rate": 10.0, "faults": peculiar.faults} | keywords
+    return dict.fromkeys(peculiar.follows_rate, arguments["rate"]) | arguments
 
 
 def make(env_id: str, **keywords) -> gym.Env:
     """The bare environment, of short episodes unless told otherwise."""
-    return gym.make(env_id, **(short(env_id) | keywords)).unwrapped
+    return gym.make(env_id, **short(env_id, **keywords)).unwrapped
 
 
 def make_vec(env_id: str, num_envs: int, **keywords) -> gym.vector.VectorEnv:
-    return gym.make_vec(env_id, num_envs=num_envs, **(short(env_id) | keywords))
+    return gym.make_vec(env_id, num_envs=num_envs, **short(env_id, **keywords))
 
 
 def zeros(env: gym.Env | gym.vector.VectorEnv, *count: int) -> np.ndarray:

@@ -137,9 +137,9 @@ def test_a_list_of_seeds_and_a_mask_reach_their_sub_environments(env_id):
 @every_setting
 @pytest.mark.parametrize("copy", [deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 def test_a_copy_goes_on_like_the_original(env_id, setting, copy):
-    original = gym.make(env_id, **(short(env_id) | SETTINGS[setting]))
+    original = gym.make(env_id, **short(env_id, **SETTINGS[setting]))
     first, second, *actions = random_actions(original.action_space.shape, 60)
-    for seed in range(1, 20):  # up to an episode that is not lost at once
+    for seed in range(1, 100):  # up to an episode that is not lost at once
         original.reset(seed=seed)
         if not (original.step(first)[2] or original.step(second)[2]):
             break

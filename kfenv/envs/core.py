@@ -136,7 +136,7 @@ class Core:
         """Apply an action (B, K) for one decision interval to the running filters.
 
         A lost track pays the cap for this decision and every one that remained. Where
-        measurements are rarer than filter steps, fading acts once per measurement's period.
+        measurements are rarer than filter steps, fading acts at the instants of theirs.
 
         Returns:
             Reward, terminated and truncated, each (B,); zero and False where not running.
@@ -146,8 +146,8 @@ class Core:
         squared, nominal, count = np.zeros((3, self.batch))
         active, begin = running.copy(), self.index.copy()
         known_error = np.full(self.batch, np.nan)  # the latest of this decision
-        for k in range(self.interval):
-            self._correct(active, fades=k % self.scenario.steps_per_measurement == 0)
+        for _ in range(self.interval):
+            self._correct(active)
             self._score(active)
             np.copyto(known_error, self.error, where=active & ~np.isnan(self.error))
             statistics.account(
@@ -188,10 +188,11 @@ class Core:
     def _instant(self) -> NDArray[np.int64]:
         return np.minimum(self.index, self._last)
 
-    def _correct(self, active: Mask, fades: bool) -> None:
+    def _correct(self, active: Mask) -> None:
         noise = self._gather("noise") * self.factors[:, 2 + self._group]
         work = np.where(active, self.status, IDLE)
-        fading = self.factors[:, 0].copy() if fades else np.ones(self.batch)
+        due = self.index % self.scenario.steps_per_measurement == 0
+        fading = np.where(due, self.factors[:, 0], 1.0)
         outlier_odds = (self.factors[:, -1].copy(),) if self.options.mixture else ()
         result = self.filter.update(
             self._prediction, fading, self.factors[:, 1].copy(),

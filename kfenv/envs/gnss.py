@@ -21,8 +21,7 @@ class GnssTrackingEnv(TrackingEnv):
     with a white jerk of 1 m^2/s^5 per axis, beside a clock whose drift is driven by white
     noise of 0.1 (m/s)^2/s. Before each decision the agent sees the innovation of the
     *pending* measurement, formed with nominal knobs; the step then applies the knobs to
-    that measurement, updates, and predicts to the next one. At nine of ten instants
-    nothing is pending, and the noise knobs do nothing.
+    that measurement, updates, and predicts to the next one.
 
     A channel follows one satellite for as long as it is visible, so that others rise and
     set without disturbing it; free channels go to the highest satellite without one.
@@ -170,8 +169,9 @@ class GnssTrackingEnv(TrackingEnv):
       episodes, one after the other; a seeded ``reset`` starts again at the first. Its
       times take the place of ``duration`` and ``rate``, and faults and track are not used.
       Channels and inputs are those of `kfenv.models.gnss.pseudorange.pseudoranges`.
-    - ``decision_interval``: filter steps for which an action holds, 1 or more (default 1;
-      10 makes a decision per measurement).
+    - ``decision_interval``: filter steps for which an action holds, 1 or more; by default
+      those from one measurement to the next (10; 1 with ``rinex``), so that every decision
+      concerns one measurement. Fading acts at the instants of measurements alone.
     - ``filter``: ``"srukf-joseph-exact"`` (default, compiled), or a square-root design of
       `kfenv.filters.designs`, e.g. ``"srukf-joseph"`` with the Jacobian at the posterior
       as published or ``"srukf-joseph-prior"`` at the prediction; those are slow.

@@ -175,6 +175,11 @@ class GnssTracking(TrackingScenario):
         return pseudoranges()
 
     @property
+    def steps_per_measurement(self) -> int:
+        """Filter steps from one measurement to the next; one in a log, whose epochs are its own."""
+        return 1 if self.log is not None else round(self.rate / self.measurement_rate)
+
+    @property
     def initial_deviations(self) -> Array:
         """Position, velocity and acceleration along each axis, clock bias and drift."""
         return np.array([*self.initial_deviation * 3, round(CLOCK_OFFSET), DRIFT_DEVIATION])
@@ -234,7 +239,7 @@ class GnssTracking(TrackingScenario):
 
     def draft(self, truth: Array, rng: Generator) -> GnssDraft:
         """The clean episode: satellites in view, and the delays that the corrections leave."""
-        measured = slice(None, None, round(self.rate / self.measurement_rate))
+        measured = slice(None, None, self.steps_per_measurement)
         time = self._first_instant(rng) + self.time[measured]
         receiver = truth[measured, list(self.motion.position)]
         position, velocity = self._constellation.seen_from(receiver, time)
