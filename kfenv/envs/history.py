@@ -25,6 +25,7 @@ class History:
         time: (T,) the instants of the episode, s.
         truth, measured: true and measured positions (T, 3), or None.
             All positions are east, north and up (see the scenario's `local_frame`).
+        guessed: whether the truth is only what withheld measurements suggest.
         lasting, passing: faults that last the whole episode and those that do not.
         colours: of the passing faults' labels.
         stride: filter steps from one measurement to the next.
@@ -41,6 +42,7 @@ class History:
         self._origin, self._rotation = scenario.local_frame(start)
         truth = recording.truth
         self.truth = None if truth is None else self._local(truth[0][:, place])
+        self.guessed = recording.scored is not None
         self.measured = measured_positions(scenario.sensor, recording.measurement[0])
         first, last = self.time[0], self.time[-1]
         faults = merged(recording.faults[0])

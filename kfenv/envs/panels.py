@@ -128,7 +128,8 @@ class CloseUp(Panel):
 
     def __init__(self, axes: Axes, history: History, widest: float) -> None:
         self.axes, self.half_width, self._widest = axes, 0.0, widest
-        of = "the estimate" if history.truth is None else "the true position"
+        of = "the track of all fixes" if history.guessed else "the true position"
+        of = "the estimate" if history.truth is None else of
         _style(axes, f"Close-up: metres from {of}")
         self._bands = [] if history.truth is None else _true_track(axes, history, 1.0)
         self._tracks = [np.array(band.get_xydata()) for band in self._bands]
@@ -279,7 +280,7 @@ class Header(Panel):
                     mec=INK,
                     ms=9,
                     mew=1.5,
-                    label="true track",
+                    label="track of all fixes" if history.guessed else "true track",
                 )
             )
         self.axes.legend(

@@ -47,7 +47,12 @@ INSTABILITY_TIME = 100.0  # s, correlation time of a wandering bias
 
 @dataclass(frozen=True)
 class InsGnss(TrackingScenario):
-    """The scenario of ``kfenv/InsGnss-v0``; see its page for the fields."""
+    """The scenario of ``kfenv/InsGnss-v0``; see its page for the fields.
+
+    The defaults of `gnss_noise` and `process_noise` are not the paper's tables: they are
+    chosen so that the published case has the error levels of SPEC 7.2 C11, and position
+    makes up 99.92 % of the trace of R, attitude 5e-8 of it (SPEC 6).
+    """
 
     duration: float = 50.0
     rate: float = 100.0
