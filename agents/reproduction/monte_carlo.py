@@ -188,7 +188,7 @@ def _size(study: Study, start: int) -> int:
 
 def _fingerprint(study: Study, start: int) -> str:
     """A file name for a chunk: equal names hold equal numbers."""
-    settings = (__version__, replace(study, runs=max(2, _size(study, start))), start)
+    settings = (__version__, replace(study, runs=2), start, _size(study, start))
     return f"{start:05d}-{sha256(repr(settings).encode()).hexdigest()[:12]}"
 
 
