@@ -20,6 +20,8 @@ from kfenv.models.strapdown import GRAVITY
 from kfenv.scenarios.columns import read_columns
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 Path = str | PathLike[str]
 
 IMU_COLUMNS = ("t", "fx", "fy", "fz", "wx", "wy", "wz")
@@ -27,9 +29,12 @@ TRUTH_COLUMNS = ("t", "lat", "lon", "height", "vn", "ve", "vd")
 GNSS_COLUMNS = (*TRUTH_COLUMNS, "sd_n", "sd_e", "sd_d", "sd_vn", "sd_ve", "sd_vd")
 MIN_ROWS = 10
 MAX_IMU_GAP = 0.5  # s without a sample
+MAX_TRUTH_GAP = 5.0  # s without truth, which is interpolated
+TRUTH_DISTANCE = 50.0  # m from the fixes, beyond ten of their standard deviations
 
 SPAN = 5.0  # s over which the two files are compared, so that noise averages out
 MIN_SPANS = 4
+BRIDGED = 2.0  # s between fixes (or three of their intervals) that velocity may be summed over
 MOVING = 3.0  # m/s: slower, the course is noise
 TURNING = 0.02  # rad/s rms: with less turning the gyroscopes cannot be checked by the course
 CLIMBING = 0.5  # m/s rms, likewise for the sign of vd
@@ -126,17 +131,57 @@ def check_together(imu: ImuLog, fixes: FixLog) -> None:
     Raises:
         ValueError: naming the file, what is wrong, and the remedy.
     """
-    common = min(imu.time[-1], fixes.time[-1]) - max(imu.time[0], fixes.time[0])
-    if common < SPAN * (MIN_SPANS + 1):
-        raise ValueError(
-            f"{imu.path} and {fixes.path} have {max(common, 0.0):.3g} s in common, and "
-            f"{SPAN * (MIN_SPANS + 1):g} s are needed: give times of one clock, in seconds."
-        )
+    _check_common(imu, fixes)
     chosen = _spaced(fixes.time, imu.time[0], imu.time[-1])
     if len(chosen) <= MIN_SPANS:
         return
-    _check_velocity(fixes, chosen)
-    _check_rates(imu, fixes, chosen)
+    gap = np.maximum.reduceat(np.diff(fixes.time)[: chosen[-1]], chosen[:-1])
+    whole = gap <= max(BRIDGED, 3.0 * fixes.interval)
+    if whole.any():
+        _check_velocity(fixes, chosen, whole)
+        _check_rates(imu, fixes, chosen, whole)
+
+
+def check_truth(truth: FixLog, imu: ImuLog, fixes: FixLog) -> None:
+    """Complain if a truth is of another clock or drive than the other files, or has gaps.
+
+    Raises:
+        ValueError: naming the file, what is wrong, and the remedy.
+    """
+    import pymap3d
+
+    _check_common(truth, imu)
+    _check_common(truth, fixes)
+    begin, end = max(imu.time[0], fixes.time[0]), min(imu.time[-1], fixes.time[-1])
+    steps = np.diff(truth.time)
+    steps[(truth.time[1:] <= begin) | (truth.time[:-1] >= end)] = 0.0
+    gap = int(np.argmax(steps))
+    if steps[gap] > MAX_TRUTH_GAP:
+        raise ValueError(
+            f"{truth.path}: no truth for {steps[gap]:.3g} s after t = {truth.time[gap]:g} s, and "
+            f"at most {MAX_TRUTH_GAP:g} s are bridged: cut the logs there and use the longer part, "
+            "or leave the truth out."
+        )
+    both = (fixes.time >= truth.time[0]) & (fixes.time <= truth.time[-1])
+    track = np.stack(pymap3d.geodetic2ned(*truth.place.T, *fixes.place[0]))
+    fixed = np.stack(pymap3d.geodetic2ned(*fixes.place[both].T, *fixes.place[0]))
+    known = np.stack([np.interp(fixes.time[both], truth.time, axis) for axis in track])
+    distance = float(np.median(np.linalg.norm(fixed - known, axis=0)))
+    deviation = float(np.median(np.linalg.norm(fixes.deviation[both, :3], axis=1)))
+    if distance > 10.0 * deviation + TRUTH_DISTANCE:
+        raise ValueError(
+            f"{truth.path}: the truth is usually {distance:.3g} m away from the fixes of "
+            f"{fixes.path}: give both on one clock, in degrees and metres above the ellipsoid."
+        )
+
+
+def _check_common(log: ImuLog | FixLog, other: ImuLog | FixLog) -> None:
+    common = min(log.time[-1], other.time[-1]) - max(log.time[0], other.time[0])
+    if common < SPAN * (MIN_SPANS + 1):
+        raise ValueError(
+            f"{log.path} and {other.path} have {max(common, 0.0):.3g} s in common, and "
+            f"{SPAN * (MIN_SPANS + 1):g} s are needed: give times of one clock, in seconds."
+        )
 
 
 def _check_rows(path: str, columns: Array, names: tuple[str, ...]) -> None:
@@ -194,16 +239,17 @@ def _check_force(log: ImuLog) -> None:
         )
 
 
-def _check_velocity(fixes: FixLog, chosen: NDArray[np.int64]) -> None:
+def _check_velocity(fixes: FixLog, chosen: Indices, whole: Mask) -> None:
+    """The way between fixes against the integral of velocity, in spans without a gap."""
     import pymap3d
 
     lat, lon, height = fixes.place[chosen].T
     steps = pymap3d.geodetic2ned(lat[1:], lon[1:], height[1:], lat[:-1], lon[:-1], height[:-1])
-    moved = np.stack(steps, axis=1)
+    moved = np.stack(steps, axis=1)[whole]
     dt = np.diff(fixes.time)[:, None]
     way = np.cumsum(0.5 * dt * (fixes.velocity[1:] + fixes.velocity[:-1]), axis=0)
-    driven = np.diff(np.vstack([np.zeros(3), way])[chosen], axis=0)
-    span = np.diff(fixes.time[chosen])
+    driven = np.diff(np.vstack([np.zeros(3), way])[chosen], axis=0)[whole]
+    span = np.diff(fixes.time[chosen])[whole]
     moving = np.linalg.norm(driven[:, :2], axis=1) > MOVING * span
     if moving.sum() >= MIN_SPANS:
         ratio = _slope(driven[moving, :2], moved[moving, :2])
@@ -218,7 +264,7 @@ def _check_velocity(fixes: FixLog, chosen: NDArray[np.int64]) -> None:
         )
 
 
-def _check_rates(imu: ImuLog, fixes: FixLog, chosen: NDArray[np.int64]) -> None:
+def _check_rates(imu: ImuLog, fixes: FixLog, chosen: Indices, whole: Mask) -> None:
     """The course's rate against the angular rate about the direction of gravity."""
     span = np.diff(fixes.time[chosen])
     north, east, _ = fixes.velocity[chosen].T
@@ -230,7 +276,7 @@ def _check_rates(imu: ImuLog, fixes: FixLog, chosen: NDArray[np.int64]) -> None:
     measured = np.sum(mean[:, 3:] * down, axis=1)
     speed = np.hypot(north, east)
     # beyond half a turn in a span the course cannot be told
-    use = (np.minimum(speed[1:], speed[:-1]) > MOVING) & (np.abs(rate) * span < 2.0)
+    use = whole & (np.minimum(speed[1:], speed[:-1]) > MOVING) & (np.abs(rate) * span < 2.0)
     if use.sum() < MIN_SPANS or _rms(rate[use]) < TURNING:
         return
     ratio = _slope(rate[use], measured[use])
@@ -252,7 +298,7 @@ def _degrees(path: str, why: str) -> str:
     return f"{path}: the angular rates look like deg/s ({why}): multiply them by pi/180."
 
 
-def _spaced(time: Array, begin: float, end: float) -> NDArray[np.int64]:
+def _spaced(time: Array, begin: float, end: float) -> Indices:
     """Fixes at least a span apart, between two times."""
     chosen: list[int] = []
     for i in np.flatnonzero((time >= begin) & (time <= end)):

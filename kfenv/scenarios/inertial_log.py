@@ -21,6 +21,7 @@ from kfenv.scenarios.inertial_files import (
     FixLog,
     ImuLog,
     check_together,
+    check_truth,
     read_fixes,
     read_imu,
 )
@@ -157,7 +158,9 @@ class InertialLog:
         from scipy.interpolate import CubicHermiteSpline
 
         log = self.truth or self.fixes
-        near = np.flatnonzero((log.time > time[0] - 30.0) & (log.time < time[-1] + 30.0))
+        first = np.searchsorted(log.time, time[0], side="right") - 1
+        last = np.searchsorted(log.time, time[-1])
+        near = np.arange(max(first - 1, 0), min(last + 2, len(log.time)))
         local = self._local(log, near, origin)
         spline = CubicHermiteSpline(log.time[near], local[:, :3], local[:, 3:])
         position, velocity = spline(time), spline.derivative()(time)
@@ -224,6 +227,8 @@ def _read(paths: tuple[str, ...], rate: float, stamps: tuple[int, ...]) -> Inert
     imu, fixes = read_imu(paths[0]), read_fixes(paths[1])
     truth = read_fixes(paths[2], truth=True) if len(paths) > 2 else None
     check_together(imu, fixes)
+    if truth is not None:
+        check_truth(truth, imu, fixes)
     own = 1.0 / float(np.median(np.diff(imu.time)))
     if own < 0.9 * rate:
         raise ValueError(

@@ -1,0 +1,69 @@
+"""What two or three files of a log must have in common: clock, gaps, mounting, truth."""
+
+import numpy as np
+import pytest
+from inertial_logs import CLOCK, drive
+from test_bad_input import complaint
+
+from kfenv.scenarios.inertial_files import check_together, read_fixes, read_imu
+from kfenv.scenarios.inertial_log import read_log
+
+RATE = 20.0
+
+
+@pytest.fixture(scope="module")
+def simulated():
+    return drive(rate=RATE, every=4)[0]
+
+
+def without(table, *gaps):
+    """The rows whose time since the log's begin is in none of the gaps."""
+    time = table[:, 0] - CLOCK
+    inside = [(time > begin) & (time < end) for begin, end in gaps]
+    return table[~np.any(inside, axis=0)]
+
+
+@pytest.mark.parametrize("seed", range(1, 5))
+def test_gaps_of_the_fixes_are_no_fault(tmp_path, seed):
+    """While the vehicle turns, a gap's chord is much shorter than the way."""
+    good = drive(rate=RATE, every=4, seed=seed)[0]
+    files = good._replace(gnss=without(good.gnss, (60.0, 100.0), (140.0, 260.0))).write(tmp_path)
+    check_together(read_imu(files[0]), read_fixes(files[1]))
+    read_log(files[:2], RATE)
+
+
+def later(table):
+    table[:, 0] += 1e6
+
+
+def in_milliseconds(table):
+    table[:, 0] = CLOCK + 0.001 * (table[:, 0] - CLOCK)
+
+
+def far(table):
+    table[:, 1] += 1.0
+
+
+@pytest.mark.parametrize(("change", "said"), [
+    (later, "have 0 s in common"),
+    (in_milliseconds, "have 0.3 s in common"),
+    (far, "the truth is usually 1.11e+05 m away from the fixes"),
+])  # fmt: skip
+def test_a_truth_of_another_clock_or_place_is_named(simulated, tmp_path, change, said):
+    truth = simulated.truth.copy()
+    change(truth)
+    paths = simulated._replace(truth=truth).write(tmp_path)
+    told = complaint(ValueError, read_log, paths, RATE)
+    assert "truth.csv" in told and said in told
+
+
+def test_a_truth_with_a_gap_is_refused(simulated, tmp_path):
+    paths = simulated.write(tmp_path)
+    whole = read_log(paths, RATE)
+    begin = int(np.searchsorted(whole.row, 50.0 * RATE))
+    whole = whole.window(begin, 40.0).truth
+    simulated._replace(truth=without(simulated.truth, (60.0, 63.0))).write(tmp_path)
+    bridged = read_log(paths, RATE).window(begin, 40.0).truth
+    assert 0.0 < np.abs(whole - bridged).max() < 5.0
+    simulated._replace(truth=without(simulated.truth, (60.0, 200.0))).write(tmp_path)
+    assert "no truth for 140 s after t = 1060 s" in complaint(ValueError, read_log, paths, RATE)
