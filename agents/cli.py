@@ -32,11 +32,20 @@ DEFAULT_AGENTS = (
     "innovation-fading", "innovation-fading-printed", "huber-gate", "innovation-noise",
     "clairvoyant", "random",
 )  # fmt: skip
+VALIDATION_EPISODES = 100  # at most, on which training's result is scored
 
 Environment = Annotated[str, typer.Argument(metavar="ENV", help="An id that `kfenv envs` lists.")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same result.")]
-Rate = Annotated[float | None, typer.Option(help="Measurements per second.")]
-Faults = Annotated[str | None, typer.Option(help="'random', 'paper', 'none', or a JSON object.")]
+Rate = Annotated[
+    float | None,
+    typer.Option(help="Measurements per second; of InsGnss the inertial samples, not the fixes."),
+]
+Faults = Annotated[
+    str | None,
+    typer.Option(
+        help="'random', 'paper', 'none', a JSON object, or another name that ENV's page tells."
+    ),
+]
 Track = Annotated[
     Path | None, typer.Option(help="A real flight as the truth: CSV with t, lat, lon, alt_m.")
 ]
@@ -99,7 +108,10 @@ def train(
     """Train an agent (needs the extra 'train')."""
     with _complaints():
         kwargs = _env_kwargs(rate, faults, track, rinex, option)
-        _training()(
+        train_agent = _training()
+        if _real_log(kwargs):  # what would only show at the end
+            _check_validation(env, kwargs, seed)
+        train_agent(
             env, algorithm=algo, steps=steps, seed=seed, output=output, env_kwargs=kwargs,
             config_path=config, resume=resume,
         )  # fmt: skip
@@ -232,13 +244,27 @@ def demo(
         )  # fmt: skip
 
 
+def _check_validation(env: str, kwargs: dict[str, Any], seed: int) -> None:
+    """Complain if a real log has too little for validation."""
+    import kfenv  # noqa: F401  (registers the environments)
+
+    from .evaluation import check_log
+
+    check_log(env, _scored(kwargs), "validation", seed, VALIDATION_EPISODES)
+
+
+def _scored(kwargs: dict[str, Any]) -> dict[str, Any]:
+    """The keywords of training less the reward, which is no matter of scores."""
+    return {key: value for key, value in kwargs.items() if key != "reward"}
+
+
 def _validate(env: str, kwargs: dict[str, Any], seed: int, output: Path) -> None:
     """Score a trained policy on validation episodes: ``results.json`` beside it."""
     from .evaluation import Contest, evaluate
     from .files import write_json
 
-    scored = {key: value for key, value in kwargs.items() if key != "reward"}
-    contest = Contest(env, scored, (str(output),), 100, seed, 1, 0, "validation")
+    policies = (str(output),)
+    contest = Contest(env, _scored(kwargs), policies, VALIDATION_EPISODES, seed, 1, 0, "validation")
     folder = output / "validation"
     shutil.rmtree(folder, ignore_errors=True)  # of an earlier, shorter run
     results = evaluate(contest, folder, processes=1)
@@ -285,14 +311,22 @@ def _contest(
 
 
 def _default_agents(kwargs: dict[str, Any]) -> tuple[str, ...]:
-    return tuple(name for name in DEFAULT_AGENTS if name != "clairvoyant" or "rinex" not in kwargs)
+    log = _real_log(kwargs)
+    return tuple(name for name in DEFAULT_AGENTS if name != "clairvoyant" or not log)
+
+
+def _real_log(kwargs: dict[str, Any]) -> bool:
+    """Whether the episodes are windows of a real log."""
+    return kwargs.get("rinex") is not None or kwargs.get("log") is not None
 
 
 def _results_table(results: list[dict[str, Any]], where: str = "unseen episodes") -> Table:
     tuned = "difference_to_fixed_tuned" in results[0]
     notes = ["lost: tracks lost, %; ANEES: 1 if consistent, lost tracks left out"]
-    if "rinex" in results[0]["env_kwargs"]:
-        where = f"{results[0]['episodes']} windows of a real log, kept from training and tuning"
+    if _real_log(results[0]["env_kwargs"]):
+        had, asked = (results[0][key] for key in ("episodes", "episodes_asked"))
+        count = f"{had}" if had == asked else f"{had} of {asked} asked"
+        where = f"{count} windows of a real log, kept from training and tuning"
         notes.append("windows of one log resemble each other, so intervals are too narrow")
     table = Table(
         "agent", "median", "mean", "std", "p95", "lost", "ANEES", "below fixed, %",

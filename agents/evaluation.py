@@ -19,7 +19,7 @@ from .agent import RecordingFilter
 from .files import write_json, written_whole
 from .learned import Learned
 from .registry import NAMES, make_agent
-from .rollout import Scores, draw_episodes, rollout, scenario_and_options
+from .rollout import Scores, check_scored, draw_episodes, rollout, scenario_and_options
 from .tuning import tune
 
 Array = NDArray[np.float64]
@@ -110,10 +110,33 @@ def evaluate(
 def _complain_first(contest: Contest) -> None:
     """Meet what can be refused before anything is written."""
     place = (contest.env_id, contest.env_kwargs)
+    scenario, options = scenario_and_options(*place)
+    if scenario.recorded(contest.split, 1) is not None:
+        check_log(*place, contest.split, contest.seed, contest.episodes)
+        if contest.tuning_trials > 0:
+            tuning = draw_episodes(*place, "tuning", contest.seed, contest.tuning_episodes)
+            check_scored(tuning)
     episode = draw_episodes(*place, contest.split, contest.seed, 1)
     for contestant in map(make_agent, contest.all_agents):
         if isinstance(contestant, RecordingFilter):
-            contestant.check(*scenario_and_options(*place), episode)
+            contestant.check(scenario, options, episode)
+
+
+def check_log(
+    env_id: str, env_kwargs: dict[str, Any], split: str, seed: int, episodes: int
+) -> None:
+    """Complain if a split of a real log has too few windows, or some that cannot be scored.
+
+    Raises:
+        ValueError: with the remedy.
+    """
+    windows = draw_episodes(env_id, env_kwargs, split, seed, episodes)
+    if len(windows) < 2:
+        raise ValueError(
+            f"The log gives {len(windows)} window for {split}, and a contest needs 2: shorten "
+            "duration or give a longer log."
+        )
+    check_scored(windows)
 
 
 def run_agent(contest: Contest, name: str) -> tuple[Scores, dict[str, float]]:
@@ -156,6 +179,7 @@ def _summary(contest: Contest, name: str, scores: dict[str, Scores]) -> dict[str
         "env_kwargs": contest.env_kwargs,
         "seed": contest.seed,
         "episodes": len(own.rmse),
+        "episodes_asked": contest.episodes,  # a real log may have fewer
         "rmse": float(own.rmse.mean()),
         "rmse_std": float(own.rmse.std(ddof=1)),
         "rmse_median": float(np.median(own.rmse)),

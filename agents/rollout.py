@@ -105,12 +105,26 @@ def rollout(
     Raises:
         ValueError: if an episode has no truth to score against.
     """
-    if recording.truth is None or not recording.scored_instants.all():
-        raise ValueError("The episodes have no truth, so no error can be scored.")
+    check_scored(recording)
     scenario, options = scenario_and_options(env_id, env_kwargs)
     if isinstance(contestant, RecordingFilter):
         return _filter(contestant, scenario, options, recording, trace)
     return _decide(contestant, scenario, options, recording, seed, trace)
+
+
+def check_scored(recording: Recording) -> None:
+    """Complain if an episode has no instant at which its error is known.
+
+    Raises:
+        ValueError: saying how many have none, and what would give them one.
+    """
+    scored = np.zeros(len(recording)) if recording.truth is None else recording.scored_instants
+    if not scored.all():
+        raise ValueError(
+            f"{int(np.sum(scored == 0.0))} of {len(recording)} episodes have no truth, so no "
+            "error can be scored: give a truth (with a log of two files a third), or let the "
+            "filter miss fixes to be scored at (faults='outages', longer outages)."
+        )
 
 
 def _decide(
