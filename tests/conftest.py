@@ -1,0 +1,22 @@
+"""Before the workers start, the environments' kernels are compiled: once each, two at a time."""
+
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+import kfenv
+
+
+def pytest_configure(config):
+    whole_suite = config.args == config.getini("testpaths")
+    if whole_suite and config.getoption("numprocesses", None):
+        with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+            list(pool.map(compile_kernels, reversed(kfenv.ENVIRONMENTS)))
+
+
+def compile_kernels(env_id: str) -> None:
+    """Make, reset and step once; the improvement reward runs whole recordings as well."""
+    import gymnasium
+
+    env = gymnasium.make(env_id, reward="improvement")
+    env.reset(seed=0)
+    env.step(env.action_space.sample() * 0.0)
