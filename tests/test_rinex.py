@@ -146,6 +146,7 @@ def test_the_antenna_stands_above_its_marker(tmp_path):
         (("     GPS", "     GLO"), "line 4: GPS times are wanted, the file has GLO"),
         (("END OF HEADER", "COMMENT"), "before the end of its header"),
         ((" -3978242.4348", " -3978x42.4348"), "line 2: APPROX POSITION XYZ should be a number"),
+        ((" -3978242.4348", "           NaN"), "line 2: APPROX POSITION XYZ should be a number"),
         ((EPOCH, EPOCH.replace(" 4 ", "14 ")), "line 6: the time of the epoch is no date"),
         ((EPOCH, EPOCH.replace("  2G 3", "  xG 3")), "line 6: the epoch's number of satellites"),
         ((EPOCH, EPOCH.replace("G 3", "G x")), "line 6: a satellite's number should be a whole"),
@@ -191,6 +192,9 @@ def test_no_file_and_no_text_file(tmp_path):
         (("    1.1180D-08", "    1.1x80D-08"), "line 8: ION ALPHA should be a number"),
         (("5.153636478420D+03", "5.153636478420D+02"), "this ephemeris is no GPS orbit"),
         (("-5.218750000000D+01", "-5.21875000x000D+01"), "line 14: crs should be a number"),
+        (("-5.218750000000D+01", "                NaN"), "line 14: crs should be a number"),
+        (("-5.218750000000D+01", "-5.21875000000D+999"), "line 14: crs should be a number"),
+        ((" 5.256000000000D+05", " 6.048010000000D+05"), "toe = 604801 s of this ephemeris is no"),
         ((" 1 05  4  2  2", " 1 05 14  2  2"), "line 13: the time of the clock is no date"),
     ],
 )

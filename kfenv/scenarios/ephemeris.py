@@ -251,6 +251,8 @@ def _record(lines: Lines, line: str, version: int) -> dict[str, float]:
             f"this ephemeris is no GPS orbit: sqrt(a) = {record['root_a']:g} m^0.5, "
             f"e = {record['e']:g}"
         )
+    if not 0.0 <= record["toe"] <= WEEK:
+        raise lines.wrong(f"toe = {record['toe']:g} s of this ephemeris is no second of a week")
     return record
 
 

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from math import isfinite, nan
 from pathlib import Path
 
 import numpy as np
@@ -109,9 +110,12 @@ class Lines:
     def real(self, text: str, what: str) -> float:
         """Return the number in a field, which may have an exponent D."""
         try:
-            return float(text.replace("D", "E").replace("d", "e"))
+            value = float(text.replace("D", "E").replace("d", "e"))
         except ValueError:
-            raise self.wrong(f"{what} should be a number, but reads {text.strip()!r}") from None
+            value = nan
+        if not isfinite(value):
+            raise self.wrong(f"{what} should be a number, but reads {text.strip()!r}")
+        return value
 
     def whole(self, text: str, what: str) -> int:
         """Return the whole number in a field."""
