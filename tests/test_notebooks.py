@@ -66,8 +66,8 @@ SHORT = {
         "EPISODES, TRIALS, AGENTS, JERKS = 2, 1, (), (1.0, 1e-8)",
         "assert np.all(np.abs(fix_error[known].mean(axis=0)) < (1.0, 1.0, 2.0))\n"
         "assert rms(errors['nominal']) < rms(errors['single-epoch fix'])\n"
-        # the engine with the tuned setting is the tuned agent
-        "again = engine(test, tuned['fixed-tuned'].values)\n"
+        # the replay with the tuned setting is the tuned agent
+        "again = replay(test, tuned['fixed-tuned'].values)\n"
         "again = np.sqrt(np.mean(np.sum(again**2, axis=2), axis=1))\n"
         "assert np.allclose(again, scores['fixed-tuned'].rmse, rtol=1e-6)\n"
         "assert best == 1e-8 and np.median(still) < np.median(scores['fixed'].rmse)\n"

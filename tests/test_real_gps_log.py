@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
+import gymnasium as gym
 import numpy as np
 import pymap3d
 import pytest
@@ -364,6 +365,27 @@ def test_engine_and_reference_agree_on_a_real_log():
     np.testing.assert_allclose(fast.nis, plain.nis, rtol=1e-8, atol=1e-8)
 
 
+def test_every_decision_but_the_first_concerns_an_epoch():
+    """In the reference tier, so that nothing is compiled."""
+    kwargs = {"rinex": (str(OBSERVED), str(BROADCAST)), "filter": "srukf-joseph-prior"}
+    env = gym.make("kfenv/GnssTracking-v0", **kwargs).unwrapped
+    assert env.scenario.steps_per_measurement == env.core.interval == 30
+    _, info = env.reset(seed=0)
+    arrives, ended = [], False
+    while not ended:
+        arrives.append(np.isfinite(info["innovation_variance"]).any())
+        _, _, _, ended, info = env.step(np.zeros(4))
+    assert arrives == [False] + 10 * [True]
+
+
+def test_steps_per_epoch_divide_all_times_between_epochs():
+    assert log().steps_per_epoch == 30
+    gap = np.delete(log().row, [5, 6, 20])
+    assert replace(log(), row=gap).steps_per_epoch == 30
+    between = np.insert(log().row, 5, log().row[4] + 20)
+    assert replace(log(), row=between).steps_per_epoch == 10
+
+
 @pytest.mark.parametrize(
     ("keywords", "said"),
     [
@@ -371,6 +393,7 @@ def test_engine_and_reference_agree_on_a_real_log():
         ({"rinex": [str(OBSERVED)] * 2}, r"a navigation file \(type 'N'\) is wanted"),
         ({"faults": "none"}, "faults is for simulated episodes"),
         ({"track": "flight.csv"}, "track is for simulated episodes"),
+        ({"rate": 5.0}, "rate is the log's, 1 per second: leave it out with rinex, got 5.0"),
         ({"duration": 3000.0}, "no room for a window of 3000 s"),
     ],
 )

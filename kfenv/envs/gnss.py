@@ -168,10 +168,13 @@ class GnssTrackingEnv(TrackingEnv):
     - ``recording``: a `kfenv.scenarios.recording.Recording` to replay instead of drawing
       episodes, one after the other; a seeded ``reset`` starts again at the first. Its
       times take the place of ``duration`` and ``rate``, and faults and track are not used.
-      Channels and inputs are those of `kfenv.models.gnss.pseudorange.pseudoranges`.
+      Channels and inputs are those of `kfenv.models.gnss.pseudorange.pseudoranges`. How far
+      its measurements lie apart is not looked at: give ``rate`` and ``measurement_rate`` as
+      it has them (or its ``rinex``), by which fading and the default ``decision_interval`` go.
     - ``decision_interval``: filter steps for which an action holds, 1 or more; by default
-      those from one measurement to the next (10; 1 with ``rinex``), so that every decision
-      concerns one measurement. Fading acts at the instants of measurements alone.
+      those from one measurement to the next (10; with ``rinex`` those between epochs), so
+      that every decision concerns one measurement, but for a log's first, whose measurement
+      is spent. Fading acts at the instants of measurements alone.
     - ``filter``: ``"srukf-joseph-exact"`` (default, compiled), or a square-root design of
       `kfenv.filters.designs`, e.g. ``"srukf-joseph"`` with the Jacobian at the posterior
       as published or ``"srukf-joseph-prior"`` at the prediction; those are slow.

@@ -165,7 +165,9 @@ class InsGnssEnv(TrackingEnv):
       ``"measurement_noise"`` stands for the three noise knobs. Default all.
     - ``recording``: a `kfenv.scenarios.recording.Recording` to replay instead of drawing
       episodes, one after the other; a seeded ``reset`` starts again at the first. Its
-      times take the place of ``duration`` and ``rate``, and faults are not used.
+      times take the place of ``duration`` and ``rate``, and faults are not used. How far its
+      fixes lie apart is not looked at: give ``rate`` and ``measurement_rate`` as it has them,
+      by which fading and the default ``decision_interval`` go.
     - ``decision_interval``: filter steps for which an action holds, 1 or more; by default
       those from one fix to the next (10), so that every decision concerns one fix.
     - ``filter``: ``"srukf-joseph-exact"`` (default, compiled); a square-root design of

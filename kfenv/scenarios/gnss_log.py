@@ -78,6 +78,11 @@ class GnssLog:
         """From the first epoch to the last, s."""
         return float(self.row[-1] * self.step)
 
+    @property
+    def steps_per_epoch(self) -> int:
+        """Of how many steps all times between epochs are multiples."""
+        return int(np.gcd.reduce(np.diff(self.row)))
+
     def time(self, duration: float) -> Array:
         """The instants of a window, s."""
         return np.arange(round(duration / self.step) + 1) * self.step

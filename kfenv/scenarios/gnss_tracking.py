@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import datetime, timedelta
@@ -51,6 +52,9 @@ DRIFT_DEVIATION = 5.0  # m/s
 # Broadcast ionosphere of a published worked example (seconds per semicircle^n).
 ALPHA, BETA = (3.82e-8, 1.49e-8, -1.79e-7, 0.0), (1.43e5, 0.0, -3.28e5, 1.13e5)
 UNSEEN = np.pi / 2.0  # elevation told where a channel has no satellite
+HEIGHTS = (-1000.0, 20_000.0)  # m, that a place may have
+DAY = r"\d{4}-\d\d-\d\d"
+INSTANT = DAY + r"[T ]\d\d:\d\d(:\d\d(\.\d+)?)?"
 
 
 @dataclass(frozen=True)
@@ -107,13 +111,15 @@ class GnssTracking(TrackingScenario):
             duration = duration if self.rinex is None else LOG_DURATION
             object.__setattr__(self, "duration", duration)
         if self.log is not None:
-            object.__setattr__(self, "rate", 1.0 / self.log.step)
+            self._take_rate()
         super().__post_init__()
         if self.log is not None:
             self._check_log()
             return
         self._check_measurement_rate()
         self._check_place()
+        if self.almanac is not None and not isinstance(self.almanac, str | PathLike):
+            raise ValueError(f"almanac must be the path of a YUMA file, got {self.almanac!r}.")
         _ = _parsed(self.date), self._constellation  # complain
         if not is_number(self.mask) or not 0.0 <= self.mask < 90.0:
             raise ValueError(
@@ -126,9 +132,20 @@ class GnssTracking(TrackingScenario):
             )
         self._check_flight()
 
+    def _take_rate(self) -> None:
+        """Take the log's steps per second in place of the default."""
+        rate = 1.0 / self.log.step
+        if self.rate not in (rate, type(self).rate):
+            raise ValueError(
+                f"rate is the log's, {rate:g} per second: leave it out with rinex, got "
+                f"{self.rate!r}."
+            )
+        object.__setattr__(self, "rate", rate)
+
     def _check_measurement_rate(self) -> None:
-        every = self.rate / self.measurement_rate if is_number(self.measurement_rate) else 0.5
-        if not every >= 1.0 or abs(every - round(every)) > 1e-9:
+        right = is_number(self.measurement_rate) and self.measurement_rate > 0.0
+        every = self.rate / self.measurement_rate if right else 0.0
+        if not 1.0 <= every < np.inf or abs(every - round(every)) > 1e-9:
             raise ValueError(
                 f"measurement_rate must divide rate = {self.rate:g} (filter steps per second), "
                 f"got {self.measurement_rate!r}."
@@ -137,9 +154,14 @@ class GnssTracking(TrackingScenario):
     def _check_place(self) -> None:
         place = self.place
         right = isinstance(place, Sequence) and not isinstance(place, str) and len(place) == 3
-        if not (right and all(is_number(value) for value in place) and abs(place[0]) <= 90.0):
+        right = right and all(is_number(value) for value in place)
+        bounds = ((-90.0, 90.0), (-360.0, 360.0), HEIGHTS)
+        if not (
+            right and all(low <= x <= high for x, (low, high) in zip(place, bounds, strict=True))
+        ):
             raise ValueError(
-                f"place must be (latitude, longitude, height) in degrees and metres, got {place!r}."
+                "place must be (latitude, longitude, height), within 90 and 360 degrees and "
+                f"between {HEIGHTS[0]:g} and {HEIGHTS[1]:g} m, got {place!r}."
             )
 
     def _check_log(self) -> None:
@@ -176,8 +198,10 @@ class GnssTracking(TrackingScenario):
 
     @property
     def steps_per_measurement(self) -> int:
-        """Filter steps from one measurement to the next; one in a log, whose epochs are its own."""
-        return 1 if self.log is not None else round(self.rate / self.measurement_rate)
+        """Filter steps from one measurement to the next, or between a log's epochs."""
+        if self.log is not None:
+            return self.log.steps_per_epoch
+        return round(self.rate / self.measurement_rate)
 
     @property
     def initial_deviations(self) -> Array:
@@ -311,7 +335,7 @@ def _earth_fixed(local: Array, place: tuple[float, float, float]) -> Array:
 
 
 def _is_day(date: str) -> bool:
-    return len(date) == len("2016-02-29")
+    return re.fullmatch(DAY, date) is not None
 
 
 def _parsed(date: str) -> datetime:
@@ -320,11 +344,12 @@ def _parsed(date: str) -> datetime:
     Raises:
         ValueError: if it is none, or before GPS began.
     """
+    written = isinstance(date, str) and re.fullmatch(f"{DAY}|{INSTANT}", date)
     try:
-        parsed = datetime.fromisoformat(date)
-    except (TypeError, ValueError):
+        parsed = datetime.fromisoformat(date) if written else None
+    except ValueError:
         parsed = None
-    if parsed is None or parsed.tzinfo is not None or parsed < GPS_EPOCH.replace(tzinfo=None):
+    if parsed is None or parsed < GPS_EPOCH.replace(tzinfo=None):
         raise ValueError(
             "date must be a day since 1980-01-06 like '2016-02-29', or an instant in GPS time "
             f"like '2016-02-29T05:00', got {date!r}."
