@@ -1,8 +1,10 @@
 """What two or three files of a log must have in common: clock, gaps, mounting, truth."""
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from inertial_logs import CLOCK, drive
+from rollouts import INERTIAL, play
 from test_bad_input import complaint
 
 from kfenv.scenarios.inertial_files import check_together, read_fixes, read_imu
@@ -67,3 +69,28 @@ def test_a_truth_with_a_gap_is_refused(simulated, tmp_path):
     assert 0.0 < np.abs(whole - bridged).max() < 5.0
     simulated._replace(truth=without(simulated.truth, (60.0, 200.0))).write(tmp_path)
     assert "no truth for 140 s after t = 1060 s" in complaint(ValueError, read_log, paths, RATE)
+
+
+@pytest.mark.parametrize("deviation", [0.008, 0.03])
+def test_fixes_whose_times_jitter_are_pending_at_decisions(simulated, tmp_path, deviation):
+    """The time tags jitter, and positions with them, as a receiver's do."""
+    gnss = simulated.gnss.copy()
+    off = deviation * np.random.default_rng(0).standard_normal(len(gnss))
+    gnss[:, 0] += off
+    gnss[:, 1] += np.degrees(off * gnss[:, 4] / 6.37e6)
+    gnss[:, 2] += np.degrees(off * gnss[:, 5] / 6.37e6 / np.cos(np.radians(gnss[:, 1])))
+    paths = simulated._replace(gnss=gnss).write(tmp_path)
+    env = gym.make(INERTIAL, log=paths, rate=RATE, duration=40.0, faults="none").unwrapped
+    heard = play(env, np.zeros((999, 4)), seed=0)
+    pending = [np.isfinite(step[-1]["innovation_variance"]).all() for step in heard[:-1]]
+    assert len(heard) == 202 and np.mean(pending[1:]) > 0.99
+    errors = [step[-1]["position_error"] for step in heard]
+    assert np.sqrt(np.mean(np.square(errors))) < 5.0
+
+
+@pytest.mark.parametrize(("rate", "fits"), [(50.0, "48"), (20.0, "18"), (2.0, "3")])
+def test_a_rate_that_the_fixes_drift_against_is_refused(tmp_path, rate, fits):
+    paths = drive(60.0, 60.0, every=20)[0].write(tmp_path)  # a fix every third of a second
+    said = complaint(ValueError, read_log, paths, rate)
+    assert "has a fix every 0.333333 s" in said and said.endswith(f"set rate to {fits}.")
+    assert read_log(paths, float(fits)).steps_per_fix == round(float(fits) / 3.0)

@@ -70,8 +70,10 @@ class FixLog:
 
     @property
     def interval(self) -> float:
-        """Median time between two fixes, s."""
-        return float(np.median(np.diff(self.time)))
+        """Usual time between two fixes, s, however their times jitter: the mean without gaps."""
+        steps = np.diff(self.time)
+        usual = np.abs(steps / np.median(steps) - 1.0) < 0.5
+        return float(steps[usual].mean())
 
 
 def read_imu(path: Path) -> ImuLog:

@@ -33,6 +33,7 @@ Indices = NDArray[np.int64]
 PARTS = {"tuning": (0.0, 0.3), "validation": (0.3, 0.5), "test": (0.5, 1.0)}
 
 CHANNELS = 6
+MAX_DRIFT = 0.02  # instants from one fix to the next
 ALIGNMENT = 1.0  # s of samples before and after a window's start that give its attitude
 ALIGNED = np.radians([3.0, 3.0, 10.0])  # how well: roll and pitch by gravity, yaw by the course
 
@@ -126,12 +127,11 @@ class InertialLog:
         """The window that begins at a fix."""
         begin = self.row[start]
         rows = begin + np.arange(round(duration * self.rate) + 1)
-        inside = slice(start, np.searchsorted(self.row, rows[-1], side="right"))
-        used, places = self.used[inside], self.row[inside] - begin
+        used, places = self._decisions(start, rows)
         origin = self.fixes.place[used[0]]
         fixes = self._local(self.fixes, used, origin)
         # moved along its velocity to the instant that it falls on
-        late = self.time[self.row[inside]] - self.fixes.time[used]
+        late = self.time[rows[places]] - self.fixes.time[used]
         fixes[:, :3] += late[:, None] * fixes[:, 3:]
         usual = np.median(self.fixes.deviation[self.used], axis=0)
         fix, deviation = np.zeros((len(rows), CHANNELS)), np.tile(usual, (len(rows), 1))
@@ -145,6 +145,22 @@ class InertialLog:
             self.samples[rows], fix, deviation, arrived, np.concatenate([fixes[0], attitude]),
             np.diag(np.concatenate([self.fixes.deviation[used[0]], ALIGNED])), truth,
         )  # fmt: skip
+
+    def _decisions(self, start: int, rows: Indices) -> tuple[Indices, Indices]:
+        """The fixes of a window and their places in it, multiples of the steps per fix.
+
+        A decision concerns the instants at these multiples, and the times of fixes jitter.
+        Of two with the same nearest multiple the nearer one stays.
+        """
+        step = self.steps_per_fix
+        chosen = np.arange(start, np.searchsorted(self.row, rows[-1] + step // 2, side="right"))
+        off = self.fixes.time[self.used[chosen]] - self.time[rows[0]]
+        places = step * np.rint(off * self.rate / step).astype(np.int64)
+        places[0] = 0
+        nearest_first = np.argsort(np.abs(off - places / self.rate), kind="stable")
+        places, first = np.unique(places[nearest_first], return_index=True)
+        inside = places < len(rows)
+        return self.used[chosen[nearest_first[first]]][inside], places[inside]
 
     def _local(self, log: FixLog, rows: Indices, origin: Array) -> Array:
         """Positions north, east, down of the origin, and velocities, (k, 6)."""
@@ -235,6 +251,7 @@ def _read(paths: tuple[str, ...], rate: float, stamps: tuple[int, ...]) -> Inert
             f"{imu.path} has {own:.4g} samples per second, but rate={rate:g}: set rate to "
             f"{np.floor(own):g} or less."
         )
+    _check_period(fixes, rate)
     begin, end = max(imu.time[0], fixes.time[0]), min(imu.time[-1], fixes.time[-1])
     if truth is not None:
         begin, end = max(begin, truth.time[0]), min(end, truth.time[-1])
@@ -246,6 +263,17 @@ def _read(paths: tuple[str, ...], rate: float, stamps: tuple[int, ...]) -> Inert
     used = np.flatnonzero((row >= 0) & (row < len(time)))
     used = used[np.unique(row[used], return_index=True)[1]]  # one fix an instant
     return InertialLog(imu, fixes, truth, rate, time, samples, used, row[used])
+
+
+def _check_period(fixes: FixLog, rate: float) -> None:
+    """Complain if fixes do not come every so many instants, so that they would drift off them."""
+    steps = fixes.interval * rate
+    if abs(steps - max(1, round(steps))) > max(MAX_DRIFT, 0.001 * steps):
+        fitting = max(1, int(steps)) / fixes.interval
+        raise ValueError(
+            f"{fixes.path} has a fix every {fixes.interval:.6g} s, which is {steps:.4g} instants "
+            f"with rate={rate:g}, and must be a whole number: set rate to {fitting:.6g}."
+        )
 
 
 def check_paths(log: object) -> tuple[str, ...]:
