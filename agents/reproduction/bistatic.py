@@ -26,17 +26,16 @@ def reproduce(laboratory: Laboratory) -> list[Claim]:
         "published", BistaticTracking(faults="paper"), METHODS, spacing=0.5
     )
     least = bound(study)
-    drawn = figures.rmse(study.time, outcomes, least[:, 0:9:3])
+    drawn = figures.rmse(study.time, outcomes, least[:, 0:9:3], figures.PLAIN)
     laboratory.save(drawn, "rmse")
     recording = study.sample(0, 1)
     path = filter_recording(study.scenario, METHODS[0], recording).mean[0]
     truth, time = recording.truth[0], recording.time
-    laboratory.save(
-        figures.track(time, truth[:, ::3], recording.measurement[0], {"LKF": path[:, ::3]}), "track"
-    )
-    laboratory.save(
-        figures.accelerations(time, truth[:, 2::3], {"LKF": path[:, 2::3]}), "accelerations"
-    )
+    measured, places, bends = recording.measurement[0], path[:, ::3], path[:, 2::3]
+    drawn = figures.track(time, truth[:, ::3], measured, {"LKF": places}, figures.PLAIN)
+    laboratory.save(drawn, "track")
+    drawn = figures.accelerations(time, truth[:, 2::3], {"LKF": bends}, figures.PLAIN)
+    laboratory.save(drawn, "accelerations")
     return [_converges(study, outcomes), _efficient(study, outcomes["LKF"], least)]
 
 

@@ -85,6 +85,13 @@ def mean_and_interval(values: Array) -> tuple[float, float, float]:
     return float(values.mean()), float(values.mean() - half), float(values.mean() + half)
 
 
+def too_few(values: Array, threshold: float) -> str:
+    """What to add where the mean's interval leaves open on which side of a threshold it lies."""
+    _, low, high = mean_and_interval(values)
+    open_ended = not (high < threshold or low > threshold)
+    return "; too few runs to tell" if open_ended and not high - low <= threshold else ""
+
+
 def with_interval(values: Array, unit: str = "m") -> str:
     """Mean with its 95 % interval, for a table."""
     return "{:.3g} ({:.3g} to {:.3g}) {}".format(*mean_and_interval(values), unit)

@@ -27,7 +27,8 @@ class Experiment(NamedTuple):
 
     Attributes:
         title: what it is.
-        runs: how many it makes unless told; the papers' number where they tell it.
+        runs: how many it makes unless told; the papers' number in E1 and E2, more than the
+            paper's ten in E3, where spreads and lost tracks want more.
         reproduce: writes the figures and returns the claims.
     """
 

@@ -15,15 +15,18 @@ from .monte_carlo import Outcome
 
 Array = NDArray[np.float64]
 
-AXES = ("x, east", "y, north", "z, up")
+AxisNames = tuple[str, str, str]
+LOCAL: AxisNames = ("x (east)", "y (north)", "z (up)")
+PLAIN: AxisNames = ("x", "y", "z")  # where the directions are not told
 # Filters often agree to the width of a line: dashes let the one below be seen.
 DASHES = ("-", (0, (6, 4)), (3, (4, 4)), (0, (2, 3)), (2, (1, 3)))
 
 
 def track(
-    time: Array, truth: Array, measured: Array | None, estimates: Mapping[str, Array]
-) -> Figure:
-    """One run from above and its height against time: truth, measurements and estimates.
+    time: Array, truth: Array, measured: Array | None, estimates: Mapping[str, Array],
+    names: AxisNames = LOCAL,
+) -> Figure:  # fmt: skip
+    """One run, y over x and z against time: truth, measurements and estimates.
 
     Args:
         time: (T,), s.
@@ -33,7 +36,7 @@ def track(
     """
     figure = Figure((10.0, 4.8), layout="constrained")
     above, height = figure.subplots(1, 2)
-    name, unit = ("km", 1e3) if np.ptp(truth, axis=0).max() > 2e3 else ("m", 1.0)
+    unit_name, unit = ("km", 1e3) if np.ptp(truth, axis=0).max() > 2e3 else ("m", 1.0)
     for axes, x_of, y in ((above, lambda p: p[:, 0] / unit, 1), (height, lambda p: time, 2)):
         if measured is not None:
             axes.plot(x_of(measured), measured[:, y] / unit, ".", color="#bbbbbb", ms=3,
@@ -47,13 +50,18 @@ def track(
     above.set_xlim(low[0] - margin[0], high[0] + margin[0])
     above.set_ylim(low[1] - margin[1], high[1] + margin[1])
     height.set_ylim(low[2] - 2.0 * margin[2], high[2] + 2.0 * margin[2])
-    above.set(xlabel=f"east, {name}", ylabel=f"north, {name}")
-    height.set(xlabel="time, s", ylabel=f"height, {name}")
+    above.set(xlabel=f"{names[0]}, {unit_name}", ylabel=f"{names[1]}, {unit_name}")
+    height.set(xlabel="time, s", ylabel=f"{names[2]}, {unit_name}")
     above.legend(frameon=False, fontsize=9)
     return figure
 
 
-def rmse(time: Array, outcomes: Mapping[str, Outcome], bound: Array | None = None) -> Figure:
+def rmse(
+    time: Array,
+    outcomes: Mapping[str, Outcome],
+    bound: Array | None = None,
+    names: AxisNames = LOCAL,
+) -> Figure:
     """Position RMSE over the runs that kept the track, per axis against time.
 
     Args:
@@ -72,7 +80,7 @@ def rmse(time: Array, outcomes: Mapping[str, Outcome], bound: Array | None = Non
             axes.plot(time, bound[:, axis], color="#777777", lw=3, alpha=0.5,
                       label="posterior Cramér-Rao bound")  # fmt: skip
         axes.set_yscale("log")
-        axes.set_ylabel(f"RMSE of {AXES[axis]}, m")
+        axes.set_ylabel(f"RMSE of {names[axis]}, m")
         clean(axes)
     panels[-1].set_xlabel("time, s")
     figure.legend(*panels[0].get_legend_handles_labels(), frameon=False, ncols=4, fontsize=9,
@@ -98,7 +106,7 @@ def rmse_difference(time: Array, first: Outcome, second: Outcome, title: str) ->
                           lw=0, label="95 % interval")  # fmt: skip
         axes.plot(time, difference, color=COLOURS[4], lw=1.2, label="difference")
         axes.axhline(0.0, color="black", lw=0.8)
-        axes.set_ylabel(f"{AXES[axis]}, m")
+        axes.set_ylabel(f"{LOCAL[axis]}, m")
         clean(axes)
     panels[0].set_title(title, loc="left")
     panels[0].legend(frameon=False, ncols=2, fontsize=9)
@@ -145,7 +153,9 @@ def _style(number: int, first: int = 0) -> dict[str, Any]:
     }
 
 
-def accelerations(time: Array, truth: Array, estimates: Mapping[str, Array]) -> Figure:
+def accelerations(
+    time: Array, truth: Array, estimates: Mapping[str, Array], names: AxisNames = LOCAL
+) -> Figure:
     """True and estimated accelerations of one run, (T, 3), m/s^2."""
     figure = Figure((9.0, 6.5), layout="constrained")
     panels = figure.subplots(3, sharex=True)
@@ -153,7 +163,7 @@ def accelerations(time: Array, truth: Array, estimates: Mapping[str, Array]) -> 
         axes.plot(time, truth[:, axis], color="black", lw=2.2, label="truth")
         for style, (label, path) in enumerate(estimates.items()):
             axes.plot(time, path[:, axis], lw=1.2, label=label, **_style(style, 1))
-        axes.set_ylabel(f"{AXES[axis]}, m/s²")
+        axes.set_ylabel(f"{names[axis]}, m/s²")
         clean(axes)
     panels[0].legend(frameon=False, ncols=4, fontsize=9)
     panels[-1].set_xlabel("time, s")
