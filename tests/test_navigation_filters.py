@@ -10,7 +10,7 @@ import pytest
 from kfenv.agents.evaluation import Contest
 from kfenv.agents.registry import make_agent
 from kfenv.agents.reproduction import inertial_navigation
-from kfenv.agents.reproduction.claims import FAILS, HOLDS
+from kfenv.agents.reproduction.claims import FAILS, HOLDS, with_interval
 from kfenv.agents.reproduction.laboratory import Laboratory
 from kfenv.agents.rollout import rollout
 from kfenv.agents.rules import InnovationFading, InnovationFadingPrinted
@@ -102,6 +102,17 @@ def test_the_experiment_writes_its_figures_and_claims(tmp_path, monkeypatch):
     drawn = sorted(path.stem for path in Path(tmp_path).glob("*.png"))
     assert drawn == ["attitude", "attitude_error", "rmse", "rmse_unit_fault", "velocity",
                      "velocity_error"]  # fmt: skip
+
+
+def test_a_gain_is_not_sure_where_the_better_filter_failed():
+    gains = np.linspace(1.0, 2.0, 20)
+    failed = np.where(np.arange(20) == 3, -np.inf, gains)
+    assert inertial_navigation._surely_positive(gains)
+    for lost in (failed, np.where(np.isinf(failed), np.nan, gains)):
+        assert not inertial_navigation._surely_positive(lost)
+    assert inertial_navigation._surely_positive(np.abs(failed))  # the worse one failed
+    assert "lost" not in with_interval(gains)
+    assert with_interval(failed).endswith("m without 1 of 20 runs, lost")
 
 
 # -- contests ----------------------------------------------------------------------------

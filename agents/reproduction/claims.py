@@ -75,7 +75,11 @@ def claims_table(claims: Sequence[Claim]) -> Table:
 
 
 def mean_and_interval(values: Array) -> tuple[float, float, float]:
-    """Mean of independent values and the ends of its 95 % interval (Student's t)."""
+    """Mean of independent values and the ends of its 95 % interval (Student's t).
+
+    Only of the finite ones: NaN and infinity stand for runs that a filter lost, whose number
+    a claim must tell besides (`with_interval` does) or count in its verdict.
+    """
     from scipy.stats import t
 
     values = values[np.isfinite(values)]
@@ -93,5 +97,7 @@ def too_few(values: Array, threshold: float) -> str:
 
 
 def with_interval(values: Array, unit: str = "m") -> str:
-    """Mean with its 95 % interval, for a table."""
-    return "{:.3g} ({:.3g} to {:.3g}) {}".format(*mean_and_interval(values), unit)
+    """Mean with its 95 % interval, and how many lost runs it leaves out, for a table."""
+    lost = int(np.sum(~np.isfinite(values)))
+    without = f" without {lost} of {len(values)} runs, lost" if lost else ""
+    return "{:.3g} ({:.3g} to {:.3g}) {}".format(*mean_and_interval(values), unit) + without
