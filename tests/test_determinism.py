@@ -2,7 +2,7 @@
 
 import pickle
 from copy import deepcopy
-from itertools import islice
+from itertools import cycle, islice
 
 import gymnasium as gym
 import numpy as np
@@ -32,7 +32,15 @@ SETTINGS = {
     "another filter": {"filter": "srukf-joseph-prior", "duration": 1.0},
 }
 every_setting = pytest.mark.parametrize("setting", SETTINGS)
+COPIES = (deepcopy, lambda env: pickle.loads(pickle.dumps(env)))
 every_mode = pytest.mark.parametrize("mode", list(AutoresetMode), ids=lambda mode: mode.name)
+# Every mode with the defaults, and every other setting with one of them in turn.
+modes_and_settings = pytest.mark.parametrize(
+    ("mode", "setting"),
+    [(mode, "defaults") for mode in AutoresetMode]
+    + list(zip(cycle(AutoresetMode), list(SETTINGS)[1:], strict=False)),
+    ids=lambda value: getattr(value, "name", value),
+)
 
 
 @pytest.fixture(autouse=True)
@@ -56,8 +64,7 @@ def test_same_seed_same_bits(env_id, setting):
 
 
 @every_environment
-@every_setting
-@every_mode
+@modes_and_settings
 def test_vector_equals_gymnasiums_own_over_single_ones(env_id, setting, mode):
     keywords = SETTINGS[setting]
     ours = make_vec(env_id, 5, autoreset_mode=mode, **keywords)
@@ -134,8 +141,7 @@ def test_a_list_of_seeds_and_a_mask_reach_their_sub_environments(env_id):
 
 
 @every_environment
-@every_setting
-@pytest.mark.parametrize("copy", [deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize(("setting", "copy"), list(zip(SETTINGS, cycle(COPIES), strict=False)))
 def test_a_copy_goes_on_like_the_original(env_id, setting, copy):
     original = gym.make(env_id, **short(env_id, **SETTINGS[setting]))
     first, second, *actions = random_actions(original.action_space.shape, 60)

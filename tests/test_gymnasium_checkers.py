@@ -46,13 +46,13 @@ def test_the_checkers_can_complain(env_id):
 
 @every_environment
 def test_many_environments_are_made_as_one(env_id):
-    env = gym.make_vec(env_id, num_envs=1024, duration=10.0)
+    env = gym.make_vec(env_id, num_envs=256, duration=10.0)
     observation, _ = env.reset(seed=0)
     assert isinstance(env, gym.vector.VectorEnv) and not isinstance(env, gym.vector.SyncVectorEnv)
-    assert env.observation_space.contains(observation) and len(observation) == 1024
+    assert env.observation_space.contains(observation) and len(observation) == 256
     observation, reward, terminated, truncated, _ = env.step(env.action_space.sample())
     assert env.observation_space.contains(observation)
-    assert reward.shape == terminated.shape == truncated.shape == (1024,)
+    assert reward.shape == terminated.shape == truncated.shape == (256,)
     single = gym.make(env_id)
     assert env.single_observation_space == single.observation_space
     assert env.single_action_space == single.action_space
