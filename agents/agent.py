@@ -115,7 +115,12 @@ class Agent(Contestant, ABC):
 
     @abstractmethod
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
-        """Actions (B, K) for observations (B, D) and the arrays of the info dictionary."""
+        """Actions (B, K) for observations (B, D) and the arrays of the info dictionary.
+
+        They are `Core.information`'s, less what needs the truth: in channels that are missing
+        ``innovation`` and ``innovation_variance`` are NaN, where the ``info`` that a user of
+        ``env.step`` gets has zero and infinity.
+        """
 
 
 def knob_actions(

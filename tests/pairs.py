@@ -252,5 +252,5 @@ PAIRS = {
     "constant acceleration, radar": (constant_acceleration(), radar(), radar_case),
     "constant acceleration, position": (constant_acceleration(0.2), position(), position_case),
     "robot, beacon": (robot(), beacon(), robot_case),
-    "strapdown, navigation fix": (strapdown(), navigation_fix(), strapdown_case),
+    "strapdown, navigation fix": (strapdown((5.0, 3.0, 0.005)), navigation_fix(), strapdown_case),
 }

@@ -41,6 +41,7 @@ WRONG = [  # keyword argument of every environment, what must be said of it
     ({"actions": 3}, "3"),
     ({"filter": "srukf-jospeh"}, "srukf-joseph"),
     ({"filter": "ukf-joseph"}, "'ukf-joseph' carries a covariance"),
+    ({"filter": "ckf"}, "name it as an agent of `kfenv evaluate`"),
     ({"filter": None}, "None"),
     ({"kappa": -1.0}, "kappa must be a non-negative number, got -1.0"),
     ({"kappa": NAN}, "kappa"),

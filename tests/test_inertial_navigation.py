@@ -19,6 +19,8 @@ from kfenv.models.rotations import (
 from kfenv.models.strapdown import GRAVITY, mechanise, step_as_printed, strapdown
 from kfenv.scenarios.inertial_flights import exact_samples, random_flight
 
+PROCESS = (5.0, 3.0, 0.005)  # m, m/s, rad after a second
+
 # ----- rotations ------------------------------------------------------------------------
 
 
@@ -110,7 +112,7 @@ def test_the_step_is_of_second_order():
 @given(st.floats(-np.pi, np.pi), st.floats(-np.pi, np.pi))
 @settings(max_examples=50, deadline=None)
 def test_straight_up_is_finite(roll, yaw):
-    step = strapdown().build(scalar).step
+    step = strapdown(PROCESS).build(scalar).step
     for pitch in (np.pi / 2.0, -np.pi / 2.0):
         x = step((0.0,) * 6 + (roll, pitch, yaw), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.01)
         assert np.isfinite(x).all() and x[7] == pytest.approx(pitch, abs=1e-7)
@@ -168,7 +170,7 @@ def test_the_difference_to_pyins_is_earth_rate_transport_rate_and_gravity():
     theirs = by_pyins(flight[0], samples, dt)
     raw = theirs[-1, :3] - flight[-1, :3]
     assert 5.0 < np.linalg.norm(raw) < 50.0  # what the model leaves out in a minute, m
-    step = strapdown().build(scalar).step
+    step = strapdown(PROCESS).build(scalar).step
     ours = [flight[0]]
     for sample in samples[1:]:
         ours.append(np.array(step(tuple(ours[-1]), tuple(with_earth(ours[-1], sample)), dt)))
@@ -196,7 +198,6 @@ def test_process_noise_is_a_deviation_per_root_second_or_per_step():
     np.testing.assert_allclose(Q, np.diag(0.04 * squares), rtol=1e-14)
     Q = covariance(strapdown(deviations, per_step=True), 0.04)
     np.testing.assert_allclose(Q, np.diag(squares), rtol=1e-14)
-    assert np.linalg.eigvalsh(covariance(strapdown(), 0.01)).min() > 0.0
 
 
 @pytest.mark.parametrize("bad", [(1.0, 1.0), (1.0, 0.0, 1.0), (1.0, -1.0, 1.0), (1, np.nan, 1)])
@@ -210,7 +211,7 @@ def test_bad_process_noise_is_named(bad):
 
 def test_the_filter_wraps_attitude():
     """Yaw believed at 179 deg and measured at -179: two degrees, not 358."""
-    tier = Engine(strapdown(), navigation_fix())
+    tier = Engine(strapdown(PROCESS), navigation_fix())
     mean = np.zeros((1, 9))
     mean[0, [6, 8]] = np.radians(179.0), np.radians(-179.0)
     factor = np.diag([1.0] * 6 + [0.1] * 3)[None]

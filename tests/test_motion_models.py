@@ -14,7 +14,7 @@ from kfenv.models.strapdown import strapdown
 from kfenv.models.variable_turn import variable_turn
 
 MOTIONS = {"constant acceleration": constant_acceleration(2.0), "variable turn": variable_turn(2.0),
-           "robot": robot(), "strapdown": strapdown()}  # fmt: skip
+           "robot": robot(), "strapdown": strapdown((5.0, 3.0, 0.005))}  # fmt: skip
 SENSORS = {"radar": (radar(), 9), "beacon": (beacon(), 4), "fix": (navigation_fix(), 9),
            "fix without attitude": (navigation_fix(attitude=False), 9)}  # fmt: skip
 DT = 0.3

@@ -222,6 +222,7 @@ def _noisier(study: Study, outcomes: Outcomes) -> Claim:
 
 
 def _acceleration(study: Study, outcomes: Outcomes) -> Claim:
+    """Of the runs that were not lost, whose number C10 and C10 PLL tell."""
     told, holds = [], True
     for label in ("EKF-J", "UKF-J", "SRUKF-J"):
         calm, fault = (_run_rms(outcomes[label], ACCELERATION, w(study)) for w in (outside, inside))

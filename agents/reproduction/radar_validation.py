@@ -278,7 +278,10 @@ def _accuracy(study: Study, outcomes: dict[str, Outcome], name: str) -> list[Cla
 
 
 def _matters(difference: Array, typical: float) -> bool:
-    """Whether a paired difference is surely positive and large enough to be of account."""
+    """Whether a paired difference is surely positive and large enough to be of account.
+
+    Of runs that neither filter lost; the others are NaN, and `with_interval` tells their number.
+    """
     mean, low, _ = mean_and_interval(difference)
     return low > 0.0 and mean > MATTERS * typical
 

@@ -326,6 +326,11 @@ def make_filter(scenario: Any, options: Options):
             f"The filter {options.filter!r} fades by itself, and here fading is a knob: choose "
             f"one of {', '.join(GAUSSIAN_SUMS)} and let an agent turn it."
         )
+    if options.filter in ADAPTIVE_DESIGNS:
+        raise ValueError(
+            f"The filter {options.filter!r} is a contestant of its own: name it as an agent of "
+            "`kfenv evaluate`, or take 'srckf-joseph-exact', whose knobs can be turned."
+        )
     if find_design(options.filter).form != "square-root":
         known = [name for name, design in DESIGNS.items() if design.form == "square-root"]
         raise ValueError(

@@ -118,7 +118,8 @@ class InsGnssEnv(TrackingEnv):
     - ``measurement_rate``: fixes per second (default 10), a divisor of ``rate``; where it is more
       than that, a fix falls on every sample.
     - ``gnss_noise``: standard deviations of a fix's position (m), velocity (m/s) and
-      attitude (deg) per axis, default (70, 2, 0.9).
+      attitude (deg) per axis, default (70, 2, 0.9): like ``process_noise`` not the
+      paper's table, but chosen for the errors that the reproduction (E6) is compared with.
     - ``imu_noise``: white noise of a sample at 100 Hz, m/s^2 and deg/s, default (0.3, 0.3);
       at another rate its density is the same.
     - ``imu_bias``: standard deviations of the biases, m/s^2 and deg/s, drawn per axis and

@@ -69,7 +69,8 @@ def replay(
         means[sound, t], nis[sound, t] = mean[sound], told.nis[sound]
         if keep:
             factors[sound, t] = factor[sound]
-    covariances = factors @ transpose(factors) if keep else None
+    with np.errstate(over="ignore"):  # of a filter that has long diverged
+        covariances = factors @ transpose(factors) if keep else None
     return History(means, nis, status, failed_at, covariances, factors)
 
 

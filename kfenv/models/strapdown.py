@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from math import radians
 from types import ModuleType
 
 import numpy as np
@@ -29,13 +28,9 @@ INPUTS = (
 )
 POSITION, VELOCITY, ATTITUDE = (0, 1, 2), (3, 4, 5), (6, 7, 8)
 NOISE_PATTERN = tuple((i, i) for i in range(9))
-# Standard deviations of position, velocity and attitude that a second of process noise adds.
-PROCESS_DEVIATION = (5.0, 2.0, radians(0.3))
 
 
-def strapdown(
-    process_deviation: Sequence[float] = PROCESS_DEVIATION, per_step: bool = False
-) -> Motion:
+def strapdown(process_deviation: Sequence[float], per_step: bool = False) -> Motion:
     """Position and velocity in north, east, down and roll, pitch, yaw, driven by inertial samples.
 
     Known inputs of a step: specific force (m/s^2) and angular rate (rad/s) along the body
