@@ -188,7 +188,8 @@ def _robust(study: Study, outcomes: Outcomes) -> Claim:
         f"a second, {_slashed(study.scenario.process_noise)}, are not the paper's tables but "
         f"chosen so that errors are as large as in SPEC 7.2. RMSE {WINDOW[0]:g} to "
         f"{WINDOW[1]:g} s, {study.runs} runs: "
-        f"{_told(study, outcomes, ('EKF', 'CKF', 'GSEKF', 'GSCKF'))}. Position of CKF less GSCKF: {with_interval(gains[1])}",
+        f"{_told(study, outcomes, ('EKF', 'CKF', 'GSEKF', 'GSCKF'))}. "
+        f"Position of CKF less GSCKF: {with_interval(gains[1])}",
         judge(all(_surely_positive(gain) for gain in gains)),
     )
 
