@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pymap3d
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from kfenv.scenarios.inertial_files import GNSS_COLUMNS, IMU_COLUMNS, TRUTH_COLUMNS
@@ -45,9 +46,27 @@ def drive(
     rng = np.random.default_rng(seed)
     time = np.arange(round(duration * rate) + 1) / rate
     flight = random_flight(rng, time)
-    samples = exact_samples(flight, time)
+    return _recorded(rng, time, flight, every, noisy), flight
+
+
+def car(
+    duration: float = 300.0, rate: float = 100.0, every: int = 20, seed: int = 1
+) -> tuple[Drive, Array]:
+    """A level drive through bends at 6 to 18 m/s: unlike a flight, it does not bank."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(duration * rate) + 1) / rate
+    speed = 12.0 + 6.0 * np.sin(time / 9.0)
+    yaw = 1.5 * np.sin(time / 7.0) + np.sin(time / 17.0)
+    states = np.zeros((len(time), 9))
+    states[:, 3], states[:, 4], states[:, 8] = speed * np.cos(yaw), speed * np.sin(yaw), yaw
+    states[1:, :3] = np.cumsum(0.5 / rate * (states[1:, 3:6] + states[:-1, 3:6]), axis=0)
+    return _recorded(rng, time, states, every), states
+
+
+def _recorded(rng: Generator, time: Array, states: Array, every: int, noisy: bool = True) -> Drive:
+    samples = exact_samples(states, time)
     deviation = np.tile(DEVIATION, (len(time[::every]), 1))
-    fix = flight[::every, :6] + noisy * deviation * rng.standard_normal(deviation.shape)
+    fix = states[::every, :6] + noisy * deviation * rng.standard_normal(deviation.shape)
     if noisy:
         samples = samples + ([0.03] * 3 + [0.0005] * 3)
         samples += rng.standard_normal(samples.shape) * ([0.05] * 3 + [0.001] * 3)
@@ -55,8 +74,8 @@ def drive(
     return Drive(
         np.hstack([clock, samples]),
         np.hstack([clock[::every], _geodetic(fix[:, :3]), fix[:, 3:], deviation]),
-        np.hstack([clock, _geodetic(flight[:, :3]), flight[:, 3:6]]),
-    ), flight
+        np.hstack([clock, _geodetic(states[:, :3]), states[:, 3:6]]),
+    )
 
 
 def _geodetic(position: Array) -> Array:

@@ -3,7 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
-from inertial_logs import CLOCK, drive
+from inertial_logs import CLOCK, car, drive
 from rollouts import INERTIAL, play
 from test_bad_input import complaint
 
@@ -94,3 +94,39 @@ def test_a_rate_that_the_fixes_drift_against_is_refused(tmp_path, rate, fits):
     said = complaint(ValueError, read_log, paths, rate)
     assert "has a fix every 0.333333 s" in said and said.endswith(f"set rate to {fits}.")
     assert read_log(paths, float(fits)).steps_per_fix == round(float(fits) / 3.0)
+
+
+def mounted(axes, signs):
+    """A change of an inertial file to another order and other signs of x, y, z."""
+
+    def change(table):
+        table[:, 1:4] = table[:, 1 + np.array(axes)] * signs
+        table[:, 4:7] = table[:, 4 + np.array(axes)] * signs
+
+    return change
+
+
+def turned_gyroscopes(table):
+    table[:, 4:6] *= -1.0
+
+
+ACROSS, BACK = mounted([1, 0, 2], [1, -1, 1]), mounted([0, 1, 2], [-1, -1, 1])
+
+
+@pytest.mark.parametrize(("vehicle", "change"), [
+    (drive, ACROSS), (drive, BACK), (drive, turned_gyroscopes), (car, ACROSS), (car, BACK),
+])  # fmt: skip
+def test_an_inertial_unit_that_is_mounted_otherwise_is_named(tmp_path, vehicle, change):
+    log = vehicle(rate=RATE, every=4)[0]
+    change(log.imu)
+    paths = log.write(tmp_path)
+    said = complaint(ValueError, read_log, paths[:2], RATE)
+    assert "the samples miss the GNSS velocity by" in said and "x forward, y to the right" in said
+
+
+@pytest.mark.parametrize("vehicle", [drive, car])
+def test_a_poor_unit_rightly_mounted_passes(tmp_path, vehicle):
+    """Biases of 0.3 m/s^2 and 1 deg/s."""
+    log = vehicle(rate=RATE, every=4)[0]
+    log.imu[:, 1:] += [0.3, -0.3, 0.3, 0.0175, -0.0175, 0.0175]
+    read_log(log.write(tmp_path)[:2], RATE)

@@ -25,6 +25,7 @@ from kfenv.scenarios.inertial_files import (
     read_fixes,
     read_imu,
 )
+from kfenv.scenarios.inertial_mounting import check_mounting
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -139,7 +140,7 @@ class InertialLog:
         arrived = np.zeros(len(rows), bool)
         arrived[places] = True
         arrived[0] = False
-        attitude = self._aligned(start)
+        attitude = self.aligned(start)
         truth = self._track(self.time[rows], origin)
         return Window(
             self.samples[rows], fix, deviation, arrived, np.concatenate([fixes[0], attitude]),
@@ -185,7 +186,7 @@ class InertialLog:
         states[:, 8] = np.arctan2(velocity[:, 1], velocity[:, 0])
         return states
 
-    def _aligned(self, start: int) -> Array:
+    def aligned(self, start: int) -> Array:
         """Roll, pitch and yaw at a fix: gravity levels, the course points (no sideslip).
 
         The acceleration of the velocity in the fixes around is taken out first, so that
@@ -262,7 +263,9 @@ def _read(paths: tuple[str, ...], rate: float, stamps: tuple[int, ...]) -> Inert
     row = np.rint((fixes.time - begin) * rate).astype(np.int64)
     used = np.flatnonzero((row >= 0) & (row < len(time)))
     used = used[np.unique(row[used], return_index=True)[1]]  # one fix an instant
-    return InertialLog(imu, fixes, truth, rate, time, samples, used, row[used])
+    log = InertialLog(imu, fixes, truth, rate, time, samples, used, row[used])
+    check_mounting(log)
+    return log
 
 
 def _check_period(fixes: FixLog, rate: float) -> None:
