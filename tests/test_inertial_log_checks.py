@@ -7,6 +7,7 @@ from inertial_logs import CLOCK, car, drive
 from rollouts import INERTIAL, play
 from test_bad_input import complaint
 
+from kfenv.scenarios.inertial_faults import RateStep
 from kfenv.scenarios.inertial_files import check_together, read_fixes, read_imu
 from kfenv.scenarios.inertial_log import read_log
 
@@ -130,3 +131,39 @@ def test_a_poor_unit_rightly_mounted_passes(tmp_path, vehicle):
     log = vehicle(rate=RATE, every=4)[0]
     log.imu[:, 1:] += [0.3, -0.3, 0.3, 0.0175, -0.0175, 0.0175]
     read_log(log.write(tmp_path)[:2], RATE)
+
+
+def in_feet(table):
+    table[:, 3] /= 0.3048
+
+
+def huge(table):
+    table[5, 8] = 1e9
+
+
+def tiny(table):
+    table[5, 12] = 1e-9
+
+
+@pytest.mark.parametrize(("change", "said"), [
+    (in_feet, "height changes 3.21 times as much as 'vd' says"),
+    (huge, "column 'sd_e' holds standard deviations"),
+    (tiny, "column 'sd_vd' holds standard deviations"),
+])  # fmt: skip
+def test_heights_in_feet_and_impossible_deviations(simulated, tmp_path, change, said):
+    gnss = simulated.gnss.copy()
+    change(gnss)
+    paths = simulated._replace(gnss=gnss).write(tmp_path)
+    assert said in complaint(ValueError, read_log, paths[:2], RATE)
+
+
+def test_a_unit_that_takes_gravity_out_is_named(simulated, tmp_path):
+    imu = simulated.imu.copy()
+    imu[:, 3] += 10.6
+    paths = simulated._replace(imu=imu).write(tmp_path)
+    assert "or gravity was taken out" in complaint(ValueError, read_log, paths[:2], RATE)
+
+
+def test_axes_of_an_inertial_step_that_are_lists():
+    said = complaint(ValueError, RateStep, axes=[[0]])
+    assert "RateStep.axes must list body axes" in said

@@ -27,7 +27,9 @@ class InsGnssEnv(TrackingEnv):
 
     With ``log`` the filter runs on a real log instead: a window of it an episode, at first
     aligned by gravity and the course. Without attitude in it, the groups are position and
-    velocity, and there is one knob and seven features less for the attitude.
+    velocity, and there is one knob less, and there are eight features less. A window's
+    first fix gives the initial state and is spent: nothing is pending at the first decision.
+    Fixes are moved along their velocity to the nearest decision.
 
     ``info`` holds, after ``reset`` and every ``step``: ``time`` (s) of the filter step made
     last, its ``estimate`` (9 states: position and velocity north, east and down in m and
@@ -135,7 +137,8 @@ class InsGnssEnv(TrackingEnv):
       ``height`` m, ``vn, ve, vd`` m/s and the deviations ``sd_n, sd_e, sd_d, sd_vn, sd_ve,
       sd_vd``. TRUTH: the first seven of these. Samples are averaged to ``rate``; the fixes
       set ``measurement_rate``; ``process_noise`` should suit the unit. Episodes are windows
-      of the log's first 30 %; contests validate on the next 20 % and test on the rest.
+      of the log's first 30 %; contests validate on the next 20 % and test on the rest, on
+      windows and faults that no seed changes.
     - ``faults``: what spoils an episode.
 
       - ``"random"`` (default; with a ``log`` as ``"outages"``): at most one jamming burst of

@@ -140,7 +140,7 @@ class InertialStep:
         if not is_number(chance) or not 0.0 <= chance <= 1.0:
             raise ValueError(f"{name}.probability must be a number in [0, 1], got {chance!r}.")
         axes = self.axes
-        right = isinstance(axes, tuple | list) and set(axes) <= {0, 1, 2}
+        right = isinstance(axes, tuple | list) and all(axis in (0, 1, 2) for axis in axes)
         if not right or any(isinstance(axis, bool) for axis in axes):
             raise ValueError(
                 f"{name}.axes must list body axes, 0 forward, 1 right, 2 down, got {axes!r}."

@@ -28,6 +28,7 @@ IMU_COLUMNS = ("t", "fx", "fy", "fz", "wx", "wy", "wz")
 TRUTH_COLUMNS = ("t", "lat", "lon", "height", "vn", "ve", "vd")
 GNSS_COLUMNS = (*TRUTH_COLUMNS, "sd_n", "sd_e", "sd_d", "sd_vn", "sd_ve", "sd_vd")
 MIN_ROWS = 10
+DEVIATIONS = (1e-4, 1e4)  # m or m/s, least and greatest that can be meant
 MAX_IMU_GAP = 0.5  # s without a sample
 MAX_TRUTH_GAP = 5.0  # s without truth, which is interpolated
 TRUTH_DISTANCE = 50.0  # m from the fixes, beyond ten of their standard deviations
@@ -116,10 +117,13 @@ def read_fixes(path: Path, truth: bool = False) -> FixLog:
             raise ValueError(
                 f"{log.path}: column {name!r} reaches {np.abs(degrees).max():g}; give degrees."
             )
-    if not (log.deviation > 0.0).all():
-        name = names[7 + int(np.argmin(log.deviation.min(axis=0)))]
+    low, high = DEVIATIONS
+    wrong = ((log.deviation < low) | (log.deviation > high)).any(axis=0)
+    if wrong.any():
+        name = names[7 + int(np.argmax(wrong))]
         raise ValueError(
-            f"{log.path}: column {name!r} holds standard deviations: all must be positive."
+            f"{log.path}: column {name!r} holds standard deviations: all must be positive, in m or "
+            f"m/s between {low:g} and {high:g}; leave out fixes without."
         )
     return log
 
@@ -223,7 +227,10 @@ def _check_force(log: ImuLog) -> None:
     numbers = ", ".join(f"{value:.3g}" for value in usual)
     told = f"{log.path}: the usual specific force is ({numbers})"
     if 0.6 < size < 2.0:
-        raise ValueError(f"{told}, which looks like units of g: multiply it by {GRAVITY}.")
+        raise ValueError(
+            f"{told}, which looks like units of g: multiply it by {GRAVITY}, "
+            "or gravity was taken out: leave it in."
+        )
     if not 0.6 * GRAVITY < size < 2.0 * GRAVITY:
         raise ValueError(
             f"{told}, not about {GRAVITY} in size: give specific force, gravity included, in m/s^2."
@@ -260,9 +267,17 @@ def _check_velocity(fixes: FixLog, chosen: Indices, whole: Mask) -> None:
                 f"{fixes.path}: positions move {ratio:.3g} times as far as the velocities say: "
                 "give lat and lon in degrees, vn and ve in m/s, and keep their order."
             )
-    if _rms(driven[:, 2] / span) > CLIMBING and _slope(driven[:, 2], moved[:, 2]) < -0.3:
+    if _rms(driven[:, 2] / span) < CLIMBING:
+        return
+    ratio = _slope(driven[:, 2], moved[:, 2])
+    if ratio < -0.3:
         raise ValueError(
             f"{fixes.path}: height rises where 'vd' is positive; it must be the velocity down."
+        )
+    if ratio > 2.5:
+        raise ValueError(
+            f"{fixes.path}: height changes {ratio:.3g} times as much as 'vd' says: give height in "
+            "m and vd in m/s."
         )
 
 
