@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 from inertial_logs import CLOCK, car, drive
 from rollouts import INERTIAL, play
 from test_bad_input import complaint
@@ -167,3 +168,9 @@ def test_a_unit_that_takes_gravity_out_is_named(simulated, tmp_path):
 def test_axes_of_an_inertial_step_that_are_lists():
     said = complaint(ValueError, RateStep, axes=[[0]])
     assert "RateStep.axes must list body axes" in said
+
+
+def test_the_checker_accepts_a_log_without_truth(simulated, tmp_path):
+    paths = simulated.write(tmp_path)
+    env = gym.make(INERTIAL, log=paths[:2], rate=RATE, duration=40.0).unwrapped
+    check_env(env, skip_render_check=True)

@@ -97,7 +97,7 @@ class InsGnssEnv(TrackingEnv):
     losing it never pays. Without truth, and with the track kept, the reward is zero.
     With a ``log`` of two files, errors are the distances to the fixes that faults withhold
     from the filter, and nothing else counts; ``position_error`` is the latest of a decision,
-    NaN without one.
+    and it and ``nees`` are left out where there is none (NaN in the vector environment).
 
     ## Starting State
     The flight is random: straight legs, coordinated turns of 2 to 10 deg/s, climbs and

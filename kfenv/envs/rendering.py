@@ -58,7 +58,7 @@ class Film:
         position = info["estimate"][list(self._scenario.motion.position)]
         covariance = core.position_covariance()[0]
         factors = core.factors[0, core.knob_place]
-        self.append(info["time"], position, covariance, info["position_error"], factors)
+        self.append(info["time"], position, covariance, info.get("position_error", np.nan), factors)
 
     def append(
         self, time: float, position: Array, covariance: Array, error: float, factors: Array
