@@ -90,6 +90,7 @@ class Engine:
     ) -> Prediction:
         """Time update over dt (B,) with known inputs u (B, p)."""
         result = Prediction(np.empty(mean.shape), *np.empty((2, *factor.shape)))
+        mean, factor, u = _writeable(mean, factor, u)
         self._kernel.predict(
             mean, _rows(factor), u, dt[:, None], self._scratch,
             result.mean, _rows(result.root), _rows(result.noise), status,
@@ -138,6 +139,7 @@ class Engine:
             *np.empty((3, *z.shape)),
             *np.empty((2, len(z))),
         )
+        s, z, sd = _writeable(s, z, sd)
         self._kernel.update(
             prediction.mean, _rows(prediction.root), _rows(prediction.noise),
             _roots(fading, process_scale), s, z, sd, self._scratch, correct,
@@ -172,6 +174,7 @@ class Engine:
             np.zeros(batch, np.int64), np.full(batch, -1),
         )  # fmt: skip
         scales = _roots(fading, process_scale)
+        mean, factor, u, s, z, sd = _writeable(mean, factor, u, s, z, sd)
         self._kernel.run(
             mean, _rows(factor), np.diff(time, prepend=time[:1]), u, s, z, sd, scales,
             self._scratch, *result,
@@ -196,6 +199,11 @@ def _roots(fading: Array, process_scale: Array) -> Array:
     np.sqrt(fading, out=scales[:, 0])
     np.sqrt(process_scale, out=scales[:, 1])
     return scales
+
+
+def _writeable(*arrays: Array) -> list[Array]:
+    """The arrays, or copies of those that are read-only: Numba would compile for these anew."""
+    return [array if array.flags.writeable else array.copy() for array in arrays]
 
 
 def _rows(matrices: Array) -> Array:
