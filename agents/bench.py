@@ -17,8 +17,8 @@ import numpy as np
 import kfenv  # noqa: F401  (registers the environments)
 from kfenv.filters.engine import Engine
 from kfenv.models.namespaces import scalar
-from kfenv.scenarios.gnss_tracking import GnssTracking
-from kfenv.scenarios.radar_tracking import RadarTracking
+from kfenv.scenarios.gnss.tracking import GnssTracking
+from kfenv.scenarios.radar.tracking import RadarTracking
 from kfenv.scenarios.recording import Recording
 from kfenv.scenarios.scenario import TrackingScenario
 

@@ -10,8 +10,8 @@ import pymap3d
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from kfenv.scenarios.inertial_files import GNSS_COLUMNS, IMU_COLUMNS, TRUTH_COLUMNS
-from kfenv.scenarios.inertial_flights import exact_samples, random_flight
+from kfenv.scenarios.inertial.files import GNSS_COLUMNS, IMU_COLUMNS, TRUTH_COLUMNS
+from kfenv.scenarios.inertial.flights import exact_samples, random_flight
 
 Array = NDArray[np.float64]
 

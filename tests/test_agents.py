@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from kfenv.agents.agent import Briefing, channels_of, knob_actions
-from kfenv.agents.registry import AGENTS, make_agent
+from kfenv.agents.contestants.agent import Briefing, channels_of, knob_actions
+from kfenv.agents.contestants.registry import AGENTS, make_agent
 
 from kfenv.envs.knobs import actions_for, knobs_of
 from kfenv.models.gnss.pseudorange import pseudoranges
 from kfenv.models.radar import radar
-from kfenv.scenarios.radar_tracking import RadarTracking
+from kfenv.scenarios.radar.tracking import RadarTracking
 
 KNOBS = knobs_of(radar().groups)
 

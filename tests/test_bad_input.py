@@ -8,7 +8,7 @@ import pytest
 from rollouts import TRACKING, VALIDATION, change, draw, every_environment, make, make_vec, zeros
 
 from kfenv.scenarios.faults import Glint, Jamming, NoiseMisreport, SignalLoss
-from kfenv.scenarios.radar import Rain, SelfScreeningJammer
+from kfenv.scenarios.radar.scenario import Rain, SelfScreeningJammer
 from kfenv.scenarios.recording import Recording, stack
 
 NAN, INFINITE = float("nan"), float("inf")

@@ -8,7 +8,7 @@ import sys
 import time
 
 import pytest
-from kfenv.agents.cli import app
+from kfenv.agents.cli.app import app
 from typer.testing import CliRunner
 
 ENV = "kfenv/RadarTracking-v0"

@@ -4,11 +4,17 @@ import json
 
 import numpy as np
 import pytest
-from kfenv.agents.evaluation import Contest, evaluate, median_interval, read_scores
-from kfenv.agents.fixed import Fixed
-from kfenv.agents.registry import make_agent
-from kfenv.agents.rollout import SPLITS, draw_episodes, episode_rngs, rollout, scenario_and_options
-from kfenv.agents.tuning import tune
+from kfenv.agents.contest.evaluation import Contest, evaluate, median_interval, read_scores
+from kfenv.agents.contest.rollout import (
+    SPLITS,
+    draw_episodes,
+    episode_rngs,
+    rollout,
+    scenario_and_options,
+)
+from kfenv.agents.contest.tuning import tune
+from kfenv.agents.contestants.fixed import Fixed
+from kfenv.agents.contestants.registry import make_agent
 
 import kfenv  # noqa: F401
 from kfenv.filters.engine import Engine

@@ -21,7 +21,7 @@ from rollouts import (
 from kfenv.models.namespaces import batch
 from kfenv.models.phased_array import PhasedArray, rain_transmission
 from kfenv.scenarios.faults import Draft, Glint, Jamming, NoiseMisreport, SignalLoss
-from kfenv.scenarios.radar import Rain, SelfScreeningJammer
+from kfenv.scenarios.radar.scenario import Rain, SelfScreeningJammer
 from kfenv.scenarios.trajectories import paper_trajectory
 
 TIME = np.arange(1201) / 10.0

@@ -4,18 +4,18 @@ import json
 
 import numpy as np
 import pytest
-from kfenv.agents import rollout as rollouts
-from kfenv.agents.agent import RecordingFilter
-from kfenv.agents.cli import app
-from kfenv.agents.evaluation import Contest, evaluate
-from kfenv.agents.registry import make_agent
-from kfenv.agents.rollout import draw_episodes, rollout, scenario_and_options
+from kfenv.agents.cli.app import app
+from kfenv.agents.contest import rollout as rollouts
+from kfenv.agents.contest.evaluation import Contest, evaluate
+from kfenv.agents.contest.rollout import draw_episodes, rollout, scenario_and_options
+from kfenv.agents.contestants.agent import RecordingFilter
+from kfenv.agents.contestants.registry import make_agent
 from typer.testing import CliRunner
 
 import kfenv  # noqa: F401
 from kfenv.filters.designs import DESIGNS
 from kfenv.filters.results import History
-from kfenv.scenarios.radar_tracking import RadarTracking
+from kfenv.scenarios.radar.tracking import RadarTracking
 
 TRACKING, VALIDATION = "kfenv/RadarTracking-v0", "kfenv/RadarValidation-v0"
 SHORT = {"rate": 2.0, "duration": 20.0}

@@ -11,7 +11,7 @@ from kfenv.agents.reproduction.monte_carlo import Study, run_study
 
 from kfenv.models.gnss.pseudorange import CHANNELS
 from kfenv.models.namespaces import dual
-from kfenv.scenarios.gnss_tracking import GnssTracking
+from kfenv.scenarios.gnss.tracking import GnssTracking
 from kfenv.scenarios.trajectories import paper_trajectory
 
 # Up to the end of the clock fault, at a filter rate that is quick: measurements come at 1 Hz.

@@ -15,7 +15,7 @@ from kfenv.filters.engine import Engine
 from kfenv.filters.matrices import tria
 from kfenv.filters.reference import ReferenceFilter
 from kfenv.models.gnss.pseudorange import CHANNELS, as_printed
-from kfenv.scenarios.gnss_faults import (
+from kfenv.scenarios.gnss.faults import (
     ClockDegradation,
     MultipathBurst,
     PllFailure,
@@ -23,8 +23,8 @@ from kfenv.scenarios.gnss_faults import (
     RangeStep,
     ReceiverMisreport,
 )
-from kfenv.scenarios.gnss_tracking import GnssTracking
-from kfenv.scenarios.satellite_channels import assign_channels
+from kfenv.scenarios.gnss.satellite_channels import assign_channels
+from kfenv.scenarios.gnss.tracking import GnssTracking
 from kfenv.scenarios.trajectories import paper_trajectory
 
 ALMANAC = Path(__file__).parents[1] / "../shared/data/almanac/gps-week0862-319488.yuma"

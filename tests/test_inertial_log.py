@@ -8,16 +8,17 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from inertial_logs import CLOCK, drive
-from kfenv.agents.cli import app
+from kfenv.agents.cli.app import app
 from rollouts import INERTIAL, assert_same, play, random_actions
 from test_bad_input import complaint
 from typer.testing import CliRunner
 
 from kfenv.models.rotations import matrix_from_angles
 from kfenv.models.strapdown import GRAVITY
-from kfenv.scenarios.inertial_files import check_together, read_fixes, read_imu
-from kfenv.scenarios.inertial_log import level, read_log
-from kfenv.scenarios.ins_gnss import InsGnss
+from kfenv.scenarios.inertial.files import check_together, read_fixes, read_imu
+from kfenv.scenarios.inertial.ins_gnss import InsGnss
+from kfenv.scenarios.inertial.log import level
+from kfenv.scenarios.inertial.reading import read_log
 
 GOOD_UNIT = {"process_noise": (0.3, 0.3, 0.1), "duration": 40.0}
 

@@ -8,9 +8,9 @@ from inertial_logs import CLOCK, car, drive
 from rollouts import INERTIAL, play
 from test_bad_input import complaint
 
-from kfenv.scenarios.inertial_faults import RateStep
-from kfenv.scenarios.inertial_files import check_together, read_fixes, read_imu
-from kfenv.scenarios.inertial_log import read_log
+from kfenv.scenarios.inertial.faults import RateStep
+from kfenv.scenarios.inertial.files import check_together, read_fixes, read_imu
+from kfenv.scenarios.inertial.reading import read_log
 
 RATE = 20.0
 

@@ -17,7 +17,7 @@ from kfenv.models.rotations import (
     matrix_from_angles,
 )
 from kfenv.models.strapdown import GRAVITY, mechanise, step_as_printed, strapdown
-from kfenv.scenarios.inertial_flights import exact_samples, random_flight
+from kfenv.scenarios.inertial.flights import exact_samples, random_flight
 
 PROCESS = (5.0, 3.0, 0.005)  # m, m/s, rad after a second
 

@@ -12,9 +12,9 @@ from kfenv.filters.engine import Engine
 from kfenv.filters.results import Prediction
 from kfenv.models.strapdown import GRAVITY, mechanise
 from kfenv.scenarios.faults import Draft
-from kfenv.scenarios.inertial_faults import AccelerationStep, Interference, Outliers, RateStep
-from kfenv.scenarios.inertial_flights import exact_samples, paper_flight, random_flight
-from kfenv.scenarios.ins_gnss import InsGnss
+from kfenv.scenarios.inertial.faults import AccelerationStep, Interference, Outliers, RateStep
+from kfenv.scenarios.inertial.flights import exact_samples, paper_flight, random_flight
+from kfenv.scenarios.inertial.ins_gnss import InsGnss
 
 TIME = np.arange(5001) / 100.0
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 from inertial_logs import drive
-from kfenv.agents.cli import app
+from kfenv.agents.cli.app import app
 from typer.testing import CliRunner
 
 INERTIAL = "kfenv/InsGnss-v0"

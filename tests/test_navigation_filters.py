@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kfenv.agents.evaluation import Contest
-from kfenv.agents.registry import make_agent
+from kfenv.agents.contest.evaluation import Contest
+from kfenv.agents.contest.rollout import rollout
+from kfenv.agents.contestants.registry import make_agent
+from kfenv.agents.contestants.rules import InnovationFading, InnovationFadingPrinted
 from kfenv.agents.reproduction import inertial_navigation
 from kfenv.agents.reproduction.claims import FAILS, HOLDS, with_interval
 from kfenv.agents.reproduction.laboratory import Laboratory
-from kfenv.agents.rollout import rollout
-from kfenv.agents.rules import InnovationFading, InnovationFadingPrinted
 from rich.progress import Progress
 from rollouts import INERTIAL, TRACKING, assert_same, draw, make, make_vec, zeros
 
@@ -23,7 +23,7 @@ from kfenv.filters.adaptive import ADAPTIVE_DESIGNS, AdaptiveDesign, AdaptiveFil
 from kfenv.filters.engine import Engine
 from kfenv.filters.fading import Fading
 from kfenv.filters.gaussian_sum import GaussianSum, Mixture
-from kfenv.scenarios.ins_gnss import InsGnss
+from kfenv.scenarios.inertial.ins_gnss import InsGnss
 
 COARSE = {"duration": 20.0, "rate": 20.0, "faults": "paper"}  # a fix at every other sample
 CALM = {"duration": 6.0, "rate": 20.0, "faults": "none"}

@@ -6,7 +6,7 @@ import sys
 import gymnasium as gym
 import numpy as np
 import pytest
-from kfenv.agents.policy import NumpyPolicy, export_policy
+from kfenv.agents.contestants.policy import NumpyPolicy, export_policy
 
 ABOUT = {"env_id": "Uneven-v0", "env_kwargs": {"rate": 2}, "note": "a test"}
 
@@ -66,7 +66,7 @@ def test_exported_policy_says_what_it_is(policy_file):
 
 
 def test_policy_needs_no_learning_library():
-    code = "import sys, kfenv.agents.policy; print('torch' in sys.modules)"
+    code = "import sys, kfenv.agents.contestants.policy; print('torch' in sys.modules)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "False"
 

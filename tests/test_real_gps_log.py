@@ -13,8 +13,8 @@ import gymnasium as gym
 import numpy as np
 import pymap3d
 import pytest
-from kfenv.agents.cli import app
-from kfenv.agents.rollout import draw_episodes
+from kfenv.agents.cli.app import app
+from kfenv.agents.contest.rollout import draw_episodes
 from rinex_files import (
     BROADCAST,
     OBSERVED,
@@ -32,11 +32,11 @@ from kfenv.models.constant_acceleration import constant_acceleration
 from kfenv.models.gnss.clock import with_clock
 from kfenv.models.gnss.orbits import EARTH_RATE, SPEED_OF_LIGHT, Constellation
 from kfenv.models.gnss.pseudorange import pseudoranges
-from kfenv.scenarios.ephemeris import RELATIVITY, read_navigation, satellite_states
-from kfenv.scenarios.gnss_fix import L1, fix, signals
-from kfenv.scenarios.gnss_log import MILLISECOND, PARTS, read_log
-from kfenv.scenarios.gnss_tracking import GnssTracking
-from kfenv.scenarios.rinex import read_observations
+from kfenv.scenarios.gnss.ephemeris import RELATIVITY, read_navigation, satellite_states
+from kfenv.scenarios.gnss.fix import L1, fix, signals
+from kfenv.scenarios.gnss.log import MILLISECOND, PARTS, read_log
+from kfenv.scenarios.gnss.rinex import read_observations
+from kfenv.scenarios.gnss.tracking import GnssTracking
 
 pytestmark = needs_rinex
 

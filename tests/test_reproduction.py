@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kfenv.agents.cli import app
+from kfenv.agents.cli.app import app
 from kfenv.agents.reproduction import experiments, hard_geometry, monte_carlo, radar_tracking
 from kfenv.agents.reproduction.claims import FAILS, HOLDS, OTHER_REASON, Claim, judge, write_claims
 from kfenv.agents.reproduction.experiments import Experiment
@@ -15,7 +15,7 @@ from kfenv.agents.reproduction.radar_tracking import published
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
-from kfenv.scenarios.radar_validation import RadarValidation
+from kfenv.scenarios.radar.validation import RadarValidation
 from kfenv.scenarios.trajectories import paper_trajectory
 
 EKF_PRINTED = Method("EKF as printed", "ekf-unsymmetrised")

@@ -13,8 +13,8 @@ from rinex_files import (
     write_observations,
 )
 
-from kfenv.scenarios.ephemeris import read_navigation
-from kfenv.scenarios.rinex import read_observations
+from kfenv.scenarios.gnss.ephemeris import read_navigation
+from kfenv.scenarios.gnss.rinex import read_observations
 
 EPOCH = " 05  4  2  0  0  0.0000000  0  2G 3R 7"
 HEADER = (

@@ -12,11 +12,11 @@ from gymnasium.vector.utils import batch_space
 pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
-from kfenv.agents import checkpoints, training
-from kfenv.agents.policy import NumpyPolicy
-from kfenv.agents.settings import PPOSettings, read_settings
-from kfenv.agents.stable_baselines import VectorEnvAdapter
-from kfenv.agents.training import TrainingInterrupted, train
+from kfenv.agents.contestants.policy import NumpyPolicy
+from kfenv.agents.learning import checkpoints, training
+from kfenv.agents.learning.settings import PPOSettings, read_settings
+from kfenv.agents.learning.stable_baselines import VectorEnvAdapter
+from kfenv.agents.learning.training import TrainingInterrupted, train
 from stable_baselines3.common.monitor import Monitor
 
 PENDULUM = "Pendulum-v1"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kfenv.scenarios.bistatic import BistaticTracking
+from kfenv.scenarios.radar.bistatic import BistaticTracking
 
 from . import figures
 from .bounds import bound, over_bound

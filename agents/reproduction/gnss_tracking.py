@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from kfenv.filters.bound import cramer_rao_bound
 from kfenv.models.gnss.pseudorange import BIAS, CHANNELS, as_printed
 from kfenv.models.model import Sensor
-from kfenv.scenarios.gnss_tracking import GnssTracking
+from kfenv.scenarios.gnss.tracking import GnssTracking
 
 from ..plotting import shade
 from . import figures, gnss_figures

@@ -19,7 +19,7 @@ from kfenv.models.constant_acceleration import constant_acceleration
 from kfenv.models.model import Motion
 from kfenv.models.variable_turn import variable_turn
 from kfenv.scenarios.faults import SignalLoss
-from kfenv.scenarios.radar import RadarDraft, RadarScenario
+from kfenv.scenarios.radar.scenario import RadarDraft, RadarScenario
 
 from ..files import write_json, written_whole
 from .claims import Claim, judge

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from kfenv.filters.adaptive import ADAPTIVE_DESIGNS, AdaptiveDesign
 from kfenv.filters.results import NOT_POSITIVE_DEFINITE, OK
 from kfenv.scenarios.faults import Draft, Fault
-from kfenv.scenarios.inertial_faults import AccelerationStep, Outliers, RateStep
-from kfenv.scenarios.ins_gnss import InsGnss
+from kfenv.scenarios.inertial.faults import AccelerationStep, Outliers, RateStep
+from kfenv.scenarios.inertial.ins_gnss import InsGnss
 
 from . import inertial_figures
 from .claims import Claim, judge, mean_and_interval, with_interval

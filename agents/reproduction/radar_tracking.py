@@ -14,8 +14,8 @@ from kfenv.filters.reference import NOT_POSITIVE_DEFINITE
 from kfenv.models.model import Motion
 from kfenv.models.variable_turn import variable_turn
 from kfenv.scenarios.faults import SignalLoss
-from kfenv.scenarios.radar import Rain, SelfScreeningJammer
-from kfenv.scenarios.radar_tracking import PAPER_DURATION, RadarTracking
+from kfenv.scenarios.radar.scenario import Rain, SelfScreeningJammer
+from kfenv.scenarios.radar.tracking import PAPER_DURATION, RadarTracking
 from kfenv.scenarios.trajectories import paper_trajectory
 
 from ..plotting import shade

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from kfenv.scenarios.radar_validation import RadarValidation
+from kfenv.scenarios.radar.validation import RadarValidation
 from kfenv.scenarios.trajectories import drawn_trajectory, paper_trajectory
 
 from . import figures, timing

@@ -1,7 +1,7 @@
 """Bistatic tracking: positions measured from reflections of GPS signals (Lazarov et al.)."""
 
 from kfenv.envs.tracking import TrackingEnv, TrackingVectorEnv
-from kfenv.scenarios.bistatic import BistaticTracking
+from kfenv.scenarios.radar.bistatic import BistaticTracking
 
 
 class BistaticTrackingEnv(TrackingEnv):

@@ -1,7 +1,7 @@
 """The satellite navigation environment."""
 
 from kfenv.envs.tracking import TrackingEnv, TrackingVectorEnv
-from kfenv.scenarios.gnss_tracking import GnssTracking
+from kfenv.scenarios.gnss.tracking import GnssTracking
 
 
 class GnssTrackingEnv(TrackingEnv):
@@ -132,7 +132,7 @@ class GnssTrackingEnv(TrackingEnv):
         duration s, factor, start s), ``signal_loss`` (duration s, start s), ``glint``
         (probability, fraction, factor).
       - a list of such objects from `kfenv.scenarios.faults` and
-        `kfenv.scenarios.gnss_faults`, or of one's own: anything with a ``label`` and a
+        `kfenv.scenarios.gnss.faults`, or of one's own: anything with a ``label`` and a
         method ``apply(draft, rng)``.
 
       The true noise that the clairvoyant agent knows is each channel's own. It does not

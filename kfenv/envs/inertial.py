@@ -1,7 +1,7 @@
 """The inertial environment: strapdown navigation aided by GNSS."""
 
 from kfenv.envs.tracking import TrackingEnv, TrackingVectorEnv
-from kfenv.scenarios.ins_gnss import InsGnss
+from kfenv.scenarios.inertial.ins_gnss import InsGnss
 
 
 class InsGnssEnv(TrackingEnv):
@@ -132,7 +132,7 @@ class InsGnssEnv(TrackingEnv):
       position (m), velocity (m/s) and attitude (deg): standard deviations after a second,
       default (5, 3, 0.25).
     - ``log``: paths of CSV files to run on, ``(IMU, GNSS)`` or ``(IMU, GNSS, TRUTH)``, one
-      clock, columns by name (`kfenv.scenarios.inertial_files`). IMU: ``t`` s, ``fx, fy, fz``
+      clock, columns by name (`kfenv.scenarios.inertial.files`). IMU: ``t`` s, ``fx, fy, fz``
       m/s^2, ``wx, wy, wz`` rad/s, axes forward, right, down. GNSS: ``t, lat, lon`` deg,
       ``height`` m, ``vn, ve, vd`` m/s and the deviations ``sd_n, sd_e, sd_d, sd_vn, sd_ve,
       sd_vd``. TRUTH: the first seven of these. Samples are averaged to ``rate``; the fixes
@@ -161,7 +161,7 @@ class InsGnssEnv(TrackingEnv):
         s), ``signal_loss`` (duration s, start s), ``glint`` (probability, fraction,
         factor), ``noise_misreport`` (factor).
       - a list of such objects from `kfenv.scenarios.faults` and
-        `kfenv.scenarios.inertial_faults`, or of one's own: anything with a ``label`` and a
+        `kfenv.scenarios.inertial.faults`, or of one's own: anything with a ``label`` and a
         method ``apply(draft, rng)``; ``draft.motion_inputs`` holds the samples.
 
     - ``reward``: ``"rmse"`` or ``"improvement"``, see Rewards.

@@ -1,8 +1,8 @@
 """The radar environments: tracking under faults, and the published validation case."""
 
 from kfenv.envs.tracking import TrackingEnv, TrackingVectorEnv
-from kfenv.scenarios.radar_tracking import RadarTracking
-from kfenv.scenarios.radar_validation import RadarValidation
+from kfenv.scenarios.radar.tracking import RadarTracking
+from kfenv.scenarios.radar.validation import RadarValidation
 
 
 class RadarTrackingEnv(TrackingEnv):
@@ -114,7 +114,8 @@ class RadarTrackingEnv(TrackingEnv):
         ``signal_loss`` (duration s, start s), ``glint`` (probability, fraction, factor),
         ``noise_misreport`` (factor), ``rain`` (rate mm/h), ``self_screening_jammer``
         (start s, duration s, known).
-      - a list of such objects from `kfenv.scenarios.faults` and `kfenv.scenarios.radar`, or
+      - a list of such objects from `kfenv.scenarios.faults` and
+        `kfenv.scenarios.radar.scenario`, or
         of one's own: anything with a ``label`` and a method ``apply(draft, rng)``.
 
     - ``track``: path of a CSV file with the columns t (s), lat, lon (degrees) and alt_m (m)

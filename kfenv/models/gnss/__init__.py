@@ -1,1 +1,1 @@
-"""Satellite navigation: orbits, signal delays, receiver clock and pseudoranges (SPEC 3.4, 4.3)."""
+"""Satellite orbits, receiver clock, atmosphere and pseudoranges. Imports no other layer."""

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .agent import RecordingFilter
-from .files import write_json, written_whole
-from .learned import Learned
-from .registry import NAMES, make_agent
+from ..contestants.agent import RecordingFilter
+from ..contestants.learned import Learned
+from ..contestants.registry import NAMES, make_agent
+from ..files import write_json, written_whole
 from .rollout import Scores, check_scored, draw_episodes, rollout, scenario_and_options
 from .tuning import tune
 
@@ -35,7 +35,7 @@ class Contest:
 
     Attributes:
         env_id, env_kwargs: the environment; kwargs must be plain JSON values.
-        agents: names or paths, see `kfenv.agents.registry.make_agent`.
+        agents: names or paths, see `kfenv.agents.contestants.registry.make_agent`.
         episodes: number of test episodes.
         seed: of the episodes.
         split: which episodes the agents meet, "test" or "validation".

@@ -20,7 +20,7 @@ from kfenv.filters.matrices import cholesky, symmetric
 from kfenv.filters.results import History
 from kfenv.scenarios.recording import Recording
 
-from .agent import Agent, Briefing, Contestant, RecordingFilter
+from ..contestants.agent import Agent, Briefing, Contestant, RecordingFilter
 
 Array = NDArray[np.float64]
 

@@ -11,13 +11,14 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from ..names import unknown
-from .policy import ACTIVATIONS
+from kfenv.names import unknown
+
+from ..contestants.policy import ACTIVATIONS
 
 
 @dataclass(frozen=True)
 class Settings(ABC):
-    """What every algorithm needs; the defaults are in `agents/config/ALGORITHM.toml`."""
+    """What every algorithm needs; the defaults are in `agents/learning/config/ALGORITHM.toml`."""
 
     num_envs: int
     """Sub-environments stepped together."""

@@ -26,7 +26,7 @@ from kfenv.models.gnss.receiver import CLOCK_OFFSET, RATE_NOISE, range_deviation
 from kfenv.models.model import Motion, Sensor
 from kfenv.models.variable_turn import variable_turn
 from kfenv.scenarios.faults import Fault, Jamming
-from kfenv.scenarios.gnss_faults import (
+from kfenv.scenarios.gnss.faults import (
     GNSS_FAULTS,
     ClockDegradation,
     GnssDraft,
@@ -36,9 +36,9 @@ from kfenv.scenarios.gnss_faults import (
     RangeStep,
     ReceiverMisreport,
 )
-from kfenv.scenarios.gnss_log import GnssLog, log_of
+from kfenv.scenarios.gnss.log import GnssLog, log_of
+from kfenv.scenarios.gnss.satellite_channels import assign_channels, by_channel
 from kfenv.scenarios.recording import Recording
-from kfenv.scenarios.satellite_channels import assign_channels, by_channel
 from kfenv.scenarios.scenario import TrackingScenario
 from kfenv.scenarios.tracks import SmoothTrack, from_radar, load_track, smooth_track
 from kfenv.scenarios.trajectories import MAX_DURATION, paper_trajectory, random_trajectory
@@ -63,7 +63,7 @@ class GnssTracking(TrackingScenario):
 
     The state is in the earth-fixed frame, in which the velocities of the satellites are
     given too. A channel follows one satellite for as long as it is visible (see
-    `kfenv.scenarios.satellite_channels`).
+    `kfenv.scenarios.gnss.satellite_channels`).
 
     Attributes:
         measurement_rate: measurements per second; `rate` is a multiple of it.

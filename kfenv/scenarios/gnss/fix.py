@@ -17,8 +17,8 @@ from kfenv.models.gnss.orbits import (
     turned_with_earth,
 )
 from kfenv.models.gnss.receiver import RATE_NOISE, range_deviation
-from kfenv.scenarios.ephemeris import Ephemerides, satellite_states
-from kfenv.scenarios.rinex import Observations
+from kfenv.scenarios.gnss.ephemeris import Ephemerides, satellite_states
+from kfenv.scenarios.gnss.rinex import Observations
 
 Array = NDArray[np.float64]
 

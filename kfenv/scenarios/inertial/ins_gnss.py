@@ -25,7 +25,7 @@ from kfenv.scenarios.faults import (
     NoiseMisreport,
     SignalLoss,
 )
-from kfenv.scenarios.inertial_faults import (
+from kfenv.scenarios.inertial.faults import (
     OUTLIER_SHARE,
     VARIANCE_RATIO,
     AccelerationStep,
@@ -33,8 +33,9 @@ from kfenv.scenarios.inertial_faults import (
     Outliers,
     RateStep,
 )
-from kfenv.scenarios.inertial_flights import exact_samples, paper_flight, random_flight
-from kfenv.scenarios.inertial_log import InertialLog, check_paths, read_log
+from kfenv.scenarios.inertial.flights import exact_samples, paper_flight, random_flight
+from kfenv.scenarios.inertial.log import InertialLog
+from kfenv.scenarios.inertial.reading import check_paths, read_log
 from kfenv.scenarios.recording import Recording, stack
 from kfenv.scenarios.scenario import TrackingScenario
 from kfenv.scenarios.trajectories import MAX_DURATION

@@ -15,7 +15,7 @@ from kfenv.models.model import Motion
 from kfenv.models.phased_array import PhasedArray
 from kfenv.models.variable_turn import variable_turn
 from kfenv.scenarios.faults import FAULTS, Fault, Glint, Jamming, NoiseMisreport, SignalLoss
-from kfenv.scenarios.radar import RadarDraft, RadarScenario, Rain, SelfScreeningJammer
+from kfenv.scenarios.radar.scenario import RadarDraft, RadarScenario, Rain, SelfScreeningJammer
 from kfenv.scenarios.trajectories import MAX_DURATION, paper_trajectory, random_trajectory
 
 Array = NDArray[np.float64]

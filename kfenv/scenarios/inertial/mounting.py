@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from kfenv.models.namespaces import batch
 from kfenv.models.strapdown import strapdown
-from kfenv.scenarios.inertial_files import MOVING
-
-if TYPE_CHECKING:
-    from kfenv.scenarios.inertial_log import InertialLog
+from kfenv.scenarios.inertial.files import MOVING
+from kfenv.scenarios.inertial.log import InertialLog
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -40,10 +40,10 @@ except ImportError as error:
         f"Training needs stable-baselines3 and torch ({error}): pip install -e '.[train]'."
     ) from error
 
+from ..contest.rollout import find_spec
+from ..files import write_json
 from .checkpoints import Bookkeeper, load_checkpoint
-from .files import write_json
 from .progress import TrainingProgress
-from .rollout import find_spec
 from .settings import PPOSettings, SACSettings, Settings, read_settings
 from .stable_baselines import VectorEnvAdapter
 

@@ -21,11 +21,11 @@ from kfenv.models.gnss.orbits import SPEED_OF_LIGHT
 from kfenv.models.gnss.pseudorange import BIAS, CHANNELS, DRIFT
 from kfenv.models.gnss.receiver import RATE_NOISE, range_deviation
 from kfenv.models.kinematics import ACCELERATION, POSITION, VELOCITY
-from kfenv.scenarios.ephemeris import read_navigation
-from kfenv.scenarios.gnss_fix import Fixes, Signals, View, clock_bias, fix, signals, view
+from kfenv.scenarios.gnss.ephemeris import read_navigation
+from kfenv.scenarios.gnss.fix import Fixes, Signals, View, clock_bias, fix, signals, view
+from kfenv.scenarios.gnss.rinex import Observations, read_observations
+from kfenv.scenarios.gnss.satellite_channels import assign_channels, by_channel
 from kfenv.scenarios.recording import Recording
-from kfenv.scenarios.rinex import Observations, read_observations
-from kfenv.scenarios.satellite_channels import assign_channels, by_channel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

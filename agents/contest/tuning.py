@@ -10,7 +10,7 @@ import numpy as np
 from kfenv.envs.knobs import choose_knobs
 from kfenv.scenarios.recording import Recording
 
-from .agent import Contestant, Parameter
+from ..contestants.agent import Contestant, Parameter
 from .rollout import rollout, scenario_and_options
 
 

@@ -22,7 +22,7 @@ from kfenv.scenarios.faults import (
     SignalLoss,
     resolve_faults,
 )
-from kfenv.scenarios.radar import RadarDraft, RadarScenario, Rain, SelfScreeningJammer
+from kfenv.scenarios.radar.scenario import RadarDraft, RadarScenario, Rain, SelfScreeningJammer
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from ..contestants.registry import make_agent
+from ..plotting import COLOURS, clean, save, shade
 from .evaluation import Contest, read_scores, read_values
-from .plotting import COLOURS, clean, save, shade
-from .registry import make_agent
 from .rollout import draw_episodes, rollout, scenario_and_options
 
 

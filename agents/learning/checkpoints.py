@@ -15,8 +15,8 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
-from .files import write_json, written_whole
-from .policy import export_policy
+from ..contestants.policy import export_policy
+from ..files import write_json, written_whole
 from .progress import TrainingProgress
 from .settings import Settings
 from .stable_baselines import VectorEnvAdapter

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kfenv.models.gnss.orbits import EARTH_RATE, GRAVITY, WEEK, eccentric_anomaly
-from kfenv.scenarios.rinex import Header, Lines, read_header
+from kfenv.scenarios.gnss.rinex import Header, Lines, read_header
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,1 @@
+"""The command line: a module per command, gathered by `app`. May import every other room."""

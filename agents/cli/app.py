@@ -1,0 +1,30 @@
+"""The command line: `kfenv --help`."""
+
+from __future__ import annotations
+
+import typer
+
+from kfenv.filters.adaptive import ADAPTIVE_DESIGNS
+from kfenv.filters.designs import DESIGNS
+
+from .contest import evaluate
+from .demo import demo
+from .environments import envs
+from .reproduction import reproduce
+from .speed import bench
+from .training import train
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Learn to tune an adaptive Kalman filter, and contest the classical ways of doing so.",
+)
+FAMILY = f"Fixed filters of the family: {', '.join((*DESIGNS, *ADAPTIVE_DESIGNS))}."
+
+app.command()(envs)
+app.command()(train)
+app.command(epilog=FAMILY)(evaluate)
+app.command()(reproduce)
+app.command()(bench)
+app.command()(demo)

@@ -1,0 +1,73 @@
+"""Arguments that commands share, and the keywords of an environment that they make up."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+Environment = Annotated[str, typer.Argument(metavar="ENV", help="An id that `kfenv envs` lists.")]
+Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same result.")]
+Rate = Annotated[
+    float | None,
+    typer.Option(help="Measurements per second; of InsGnss the inertial samples, not the fixes."),
+]
+Faults = Annotated[
+    str | None,
+    typer.Option(
+        help="'random', 'paper', 'none', a JSON object, or another name that ENV's page tells."
+    ),
+]
+Track = Annotated[
+    Path | None, typer.Option(help="A real flight as the truth: CSV with t, lat, lon, alt_m.")
+]
+Rinex = Annotated[
+    tuple[Path, Path] | None,
+    typer.Option(
+        metavar="OBS NAV",
+        help="A real GPS log of a receiver that stood still: RINEX 2 or 3 observation and "
+        "navigation file. It is cut into windows: the first 30 % of its time for training and "
+        "tuning, 20 % for validation, the last half for the test, without overlap.",
+    ),
+]
+Option = Annotated[
+    list[str] | None,
+    typer.Option("--option", help="KEY=VALUE, any other keyword of ENV, value in JSON."),
+]
+Resume = Annotated[bool, typer.Option(help="Go on with what is in the output folder.")]
+
+
+def env_kwargs(
+    rate: float | None, faults: str | None, track: Path | None, rinex: tuple[Path, Path] | None,
+    option: list[str] | None,
+) -> dict[str, Any]:  # fmt: skip
+    """The environment's keywords; complains of an option that is no KEY=VALUE."""
+    kwargs: dict[str, Any] = {}
+    for item in option or ():
+        key, equals, value = item.partition("=")
+        if not equals:
+            raise ValueError(f"--option {item!r} is not of the form KEY=VALUE.")
+        kwargs[key] = json_or_text(value)
+    if rate is not None:
+        kwargs["rate"] = rate
+    if faults is not None:
+        kwargs["faults"] = json_or_text(faults)
+    if track is not None:
+        kwargs["track"] = str(track.resolve())
+    if rinex is not None:
+        kwargs["rinex"] = [str(path.resolve()) for path in rinex]
+    return kwargs
+
+
+def json_or_text(value: str) -> Any:
+    try:
+        return json.loads(value)
+    except json.JSONDecodeError:
+        return value
+
+
+def is_real_log(kwargs: dict[str, Any]) -> bool:
+    """Whether the episodes are windows of a real log."""
+    return kwargs.get("rinex") is not None or kwargs.get("log") is not None
