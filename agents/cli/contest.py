@@ -73,6 +73,7 @@ def run_contest(
     env: str, kwargs: dict[str, Any], agents: tuple[str, ...], episodes: int, seed: int,
     tuning_episodes: int, tuning_trials: int, output: Path, processes: int, resume: bool,
 ) -> None:  # fmt: skip
+    """Evaluate agents, print the table and draw the figures."""
     import kfenv  # noqa: F401  (registers the environments)
 
     from ..contest.evaluation import Contest, evaluate

@@ -89,6 +89,7 @@ def _validate(env: str, kwargs: dict[str, Any], seed: int, output: Path) -> None
 
 
 def load_training() -> Callable[..., Path]:
+    """The function that trains; complains if the learning library is not installed."""
     try:
         from ..learning.training import train
     except ImportError as error:
