@@ -69,6 +69,30 @@ def test_on_linear_models_it_is_the_kalman_filters_covariance(dt, prior):
     assert difference(bound, riccati(dt, noise[0], P, 2.0)) < 1e-11
 
 
+@pytest.mark.parametrize("known", [range(9), (0, 4)], ids=["all", "some"])
+def test_a_start_may_be_known_exactly(known):
+    """A singular covariance at the start: two of the components, or all nine, without variance."""
+    rng = np.random.default_rng(3)
+    truth, time = 100.0 * rng.normal(size=(5, 60, 9)), 0.5 * np.arange(60)
+    deviation = DEVIATION.copy()
+    deviation[list(known)] = 0.0
+    noise, P = linear_noise(5, 60, rng), np.diag(deviation**2)
+    bound = cramer_rao_bound(constant_acceleration(2.0), position_sensor(), truth, time, noise, P)
+    expected = riccati(0.5, noise[0], P, 2.0)
+    assert not bound[0][list(known)].any()
+    assert difference(bound[1:], expected[1:]) < 1e-11
+
+
+def test_a_start_known_along_one_line_alone():
+    """Full correlation between two components, as exact as no variance at all."""
+    rng = np.random.default_rng(4)
+    truth, time = np.zeros((1, 40, 9)), 0.5 * np.arange(40)
+    noise, P = linear_noise(1, 40, rng), np.diag(DEVIATION**2)
+    P[0, 3] = P[3, 0] = np.sqrt(P[0, 0] * P[3, 3])
+    bound = cramer_rao_bound(constant_acceleration(2.0), position_sensor(), truth, time, noise, P)
+    assert difference(bound, riccati(0.5, noise[0], P, 2.0)) < 1e-9
+
+
 # -- the published recursion, where it keeps its digits ------------------------------------
 
 

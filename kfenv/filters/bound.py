@@ -23,6 +23,7 @@ from kfenv.models.namespaces import batch, dual
 
 Array = NDArray[np.float64]
 BLOCK = 8  # rows per column in a decomposition
+ROUNDING = 1e-12  # of correlations: no eigenvalue of a covariance lies further below zero
 NO_ANGLES = np.array([], np.intp)  # slopes know no cut
 
 
@@ -51,7 +52,7 @@ def cramer_rao_bound(
         time: (T,) s; at the first time there is an update and no prediction.
         noise: (B, T, m) standard deviations of the measurements, NaN where nothing
             arrives, which adds no information.
-        covariance: (n, n) of the initial state.
+        covariance: (n, n) of the initial state; zeros where it is known exactly.
         motion_inputs, sensor_inputs: known inputs (B, T, p) and (B, T, k), if any.
 
     Raises:
@@ -63,7 +64,7 @@ def cramer_rao_bound(
     u = nothing if motion_inputs is None else motion_inputs
     s = nothing if sensor_inputs is None else sensor_inputs
     bound = np.empty((steps, n, n))
-    S = np.linalg.cholesky(covariance)[None]
+    S = _root(covariance)
     with np.errstate(all="ignore"):  # what has no slope is told below
         for t in range(steps):
             if t > 0:
@@ -78,6 +79,13 @@ def cramer_rao_bound(
             "singular, or a model has no slope at the truth there."
         )
     return bound
+
+
+def _root(covariance: Array) -> Array:
+    """A root (1, n, n), of a singular covariance too."""
+    eigenvalues, axes = np.linalg.eigh(_correlations(covariance))
+    deviations = np.sqrt(np.diagonal(covariance))
+    return tria((deviations[:, None] * axes * np.sqrt(np.maximum(eigenvalues, 0.0)))[None])
 
 
 def _predict(S: Array, F: Array, L: Array) -> Array:
@@ -148,8 +156,8 @@ def _check(
     if np.any(noise <= 0.0) or np.isinf(noise).any():
         raise ValueError("noise must hold positive deviations, or NaN where nothing arrives.")
     sound = np.isfinite(covariance).all() and np.allclose(covariance, covariance.T, rtol=1e-9)
-    if not sound or np.linalg.eigvalsh(_correlations(covariance)).min() <= 0.0:
-        raise ValueError("covariance must be symmetric and positive definite.")
+    if not sound or np.linalg.eigvalsh(_correlations(covariance)).min() < -ROUNDING:
+        raise ValueError("covariance must be symmetric and positive semidefinite.")
     return size, steps, n
 
 

@@ -31,6 +31,8 @@ class BistaticTracking(TrackingScenario):
     """The scenario of ``kfenv/BistaticTracking-v0``.
 
     The duration is by default that of the published case, or that of a training episode.
+    The published case is S3's but for the time between measurements and the flights, which
+    are ours: S3 tells no time step, and draws flights that its filter's model does not.
     """
 
     duration: float | None = None
