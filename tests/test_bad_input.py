@@ -106,6 +106,8 @@ def test_what_only_one_scenario_refuses():
     + [(Jamming, "start", value) for value in [-1.0, NAN, "noon"]]
     + [(SignalLoss, "start", -1.0), (SelfScreeningJammer, "start", None)]
     + [(SelfScreeningJammer, "duration", value) for value in [0.0, -3.0, NAN, "a"]]
+    + [(SelfScreeningJammer, "power", value) for value in [-1.0, NAN, INFINITE, "a"]]
+    + [(SelfScreeningJammer, "bandwidth", value) for value in [0.0, -3.0, NAN, "a"]]
     + [(Rain, "rate", value) for value in [(-1.0, 2.0), (0.0, INFINITE), 50.0]]
     + [(Glint, "factor", value) for value in [0.0, -8.0, NAN, INFINITE, "8"]]
     + [(Glint, name, v) for name in ("probability", "fraction") for v in (-0.1, 1.1, NAN, "a")],

@@ -136,7 +136,7 @@ def test_the_self_screening_jammer_drowns_the_echo(known):
     during = (jammed.time >= 5.0) & (jammed.time < 8.0)
     scenario = make(TRACKING, duration=12.0).scenario
     draft = scenario.draft(jammed.truth[0], np.random.default_rng(0))
-    rise = 1.0 + PhasedArray().jammer_to_noise(draft.exact[:, 0])
+    rise = 1.0 + PhasedArray().jammer_to_noise(draft.exact[:, 0], fault.power, fault.bandwidth)
     expected = scenario.noise(draft, draft.snr / rise)[during]
     np.testing.assert_allclose(jammed.true_noise[0, during], expected)
     assert (jammed.true_noise[0, during] > 2.0 * clear.true_noise[0, during]).all()

@@ -31,10 +31,12 @@ class RadarDraft(Draft):
     Attributes:
         snr: (T,) single-pulse signal to noise and jamming, linear.
         told_snr: (T,) the same as the filter is told.
+        array: the radar, where the radar equation gives the noise.
     """
 
     snr: Array = field(default_factory=lambda: np.empty(0))
     told_snr: Array = field(default_factory=lambda: np.empty(0))
+    array: PhasedArray | None = None
 
 
 @dataclass(frozen=True)
@@ -60,17 +62,21 @@ class Rain:
 
 @dataclass(frozen=True)
 class SelfScreeningJammer:
-    """The published jammer: carried by the target, in the main lobe (SPEC 4.2).
+    """A jammer carried by the target, in the main lobe; power and bandwidth of Table 4 (SPEC 4.2).
 
     Attributes:
-        start, duration: s.
-        known: whether the filter is told the jammed noise (the published case).
+        start, duration: s; S0 jams "at about 70 s", the duration is ours.
+        known: whether the filter is told the jammed noise, as in S0.
+        power: radiated effectively (ERP), W; with 0 nothing is jammed.
+        bandwidth: Hz.
     """
 
     label: ClassVar[str] = "jamming"
     start: float = 70.0
     duration: float = 30.0
     known: bool = True
+    power: float = 15.0
+    bandwidth: float = 0.15e9
 
     def __post_init__(self) -> None:
         check_start(self)
@@ -79,10 +85,19 @@ class SelfScreeningJammer:
                 "SelfScreeningJammer needs a start and a positive duration in seconds, got "
                 f"{self.start!r} and {self.duration!r}."
             )
+        for name, lowest in (("power", 0.0), ("bandwidth", 1.0)):
+            value = getattr(self, name)
+            if not is_number(value) or value < lowest:
+                raise ValueError(
+                    f"SelfScreeningJammer.{name} must be a number, {lowest:g} or more, "
+                    f"got {value!r}."
+                )
 
     def apply(self, draft: RadarDraft, rng: Generator) -> None:
         jammed = draft.window(self.label, self.start, self.duration)
-        noise_rise = 1.0 + PhasedArray().jammer_to_noise(draft.exact[jammed, 0])
+        noise_rise = 1.0 + draft.array.jammer_to_noise(
+            draft.exact[jammed, 0], self.power, self.bandwidth
+        )
         draft.snr[jammed] /= noise_rise
         if self.known:
             draft.told_snr[jammed] /= noise_rise

@@ -77,6 +77,7 @@ class RadarTracking(RadarScenario):
         """The clean episode: S/N from the radar equation, nothing beyond the scan limit."""
         draft = super().draft(truth, rng)
         distance, azimuth, elevation = draft.exact.T
+        draft.array = self.radar
         draft.snr = self.radar.signal_to_noise(distance, azimuth, elevation)
         draft.told_snr = draft.snr.copy()
         draft.available &= self.radar.detects(azimuth, elevation)[:, None]
@@ -84,10 +85,6 @@ class RadarTracking(RadarScenario):
 
     def noise(self, draft: RadarDraft, snr: Array) -> Array:
         """From the integrated S/N."""
-        _, azimuth, elevation = draft.exact.T
-        limit = self.radar.max_scan  # beyond it nothing arrives: any finite value will do
-        azimuth = np.clip(azimuth, self.radar.boresight_azimuth - limit,
-                          self.radar.boresight_azimuth + limit)  # fmt: skip
-        elevation = np.clip(elevation, self.radar.boresight_elevation - limit,
-                            self.radar.boresight_elevation + limit)  # fmt: skip
+        # beyond the limit nothing arrives: any finite value will do
+        azimuth, elevation = self.radar.within_scan(*draft.exact[:, 1:].T)
         return self.radar.noise(self.radar.integrated(snr), azimuth, elevation)
