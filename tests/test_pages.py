@@ -1,4 +1,8 @@
-"""The docstring of every environment is its page: all headings, arguments, knobs, features."""
+"""The docstring of every environment is its page: all headings, arguments, knobs, features.
+
+Every figure is the code's: shared paragraphs are filled from it, and those few that an
+environment's own text types are held against it here.
+"""
 
 import dataclasses
 import inspect
@@ -8,9 +12,18 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.envs.registration import load_env_creator
-from rollouts import every_environment, make
+from rollouts import GNSS, INERTIAL, TRACKING, VALIDATION, every_environment, make
 
+from kfenv.envs.core import REWARD_CAP
 from kfenv.envs.options import Options
+from kfenv.envs.pages import compose, with_page
+from kfenv.envs.statistics import WINDOWS
+from kfenv.envs.wording import WIDTH, wrap
+from kfenv.scenarios.gnss.log import PARTS as GNSS_PARTS
+from kfenv.scenarios.inertial.flights import PAPER_PERIOD, PAPER_SPEED
+from kfenv.scenarios.inertial.log import PARTS as INERTIAL_PARTS
+from kfenv.scenarios.radar.tracking import RadarTracking
+from kfenv.scenarios.radar.validation import PUBLISHED_NOISE
 
 HEADINGS = [
     "Description", "Action Space", "Observation Space", "Rewards", "Starting State",
@@ -24,6 +37,19 @@ def page(env_id: str) -> str:
 
 def section(env_id: str, heading: str) -> str:
     return re.split(r"^## ", page(env_id).split(f"## {heading}\n")[1], flags=re.M)[0]
+
+
+def flat(env_id: str) -> str:
+    return " ".join(page(env_id).split())
+
+
+def vector_class(env_id: str) -> type:
+    return load_env_creator(gym.spec(env_id).vector_entry_point)
+
+
+def argument(env_id: str, name: str) -> str:
+    entries = re.split(r"^- (?=``\w+``:)", section(env_id, "Arguments"), flags=re.M)
+    return next(" ".join(e.split()) for e in entries if e.startswith(f"``{name}``:"))
 
 
 @every_environment
@@ -51,12 +77,22 @@ def test_the_tables_are_those_of_the_spaces(env_id):
     size, knobs = core.observation_size, len(core.knobs)
     assert sorted(places) == list(range(size - knobs))
     assert table[-1] == f"{size - knobs} to {size - 1}"
+    assert str(make(env_id).action_space).startswith(f"Box(-1.0, 1.0, ({knobs},)")
+    assert f"``Box(-1, 1, ({knobs},), float32)``" in section(env_id, "Action Space")
+    assert f"``Box(float32)`` of {size} components" in section(env_id, "Observation Space")
+    for window in WINDOWS:
+        assert f"{window:g} arrivals" in section(env_id, "Observation Space")
 
 
 @every_environment
 def test_figures(env_id):
     scenario = gym.make(env_id).unwrapped.scenario
     assert f"error scale is {scenario.error_scale:g} m" in page(env_id)
+    assert f"position error above {scenario.lost_distance / 1e3:g} km" in " ".join(
+        section(env_id, "Episode End").split()
+    )
+    for cap in REWARD_CAP.values():
+        assert re.search(rf"\b{cap:g}\b", section(env_id, "Rewards"))
     assert f"({len(scenario.time)} by default)" in page(env_id)
     for deviation, state in zip(scenario.initial_deviations, scenario.motion.states, strict=True):
         told, unit = (np.degrees(deviation), "deg") if state.angle else (deviation, state.unit)
@@ -70,5 +106,93 @@ def test_figures(env_id):
 @every_environment
 @pytest.mark.parametrize("what", ["num_envs", "autoreset_mode", "Sub-environment i"])
 def test_the_vector_environment_has_a_page_too(env_id, what):
-    vector = load_env_creator(gym.spec(env_id).vector_entry_point)
-    assert what in inspect.getdoc(vector)
+    assert what in inspect.getdoc(vector_class(env_id))
+
+
+@every_environment
+def test_defaults(env_id):
+    scenario, options = gym.make(env_id).unwrapped.scenario, Options()
+    for field in dataclasses.fields(scenario):
+        value = getattr(scenario, field.name)
+        told = argument(env_id, field.name)
+        if isinstance(value, float):
+            assert re.search(rf"\(default {value:g}[;)]|Default {value:g}[,;]", told), field.name
+        elif isinstance(value, tuple):
+            assert f"default {value}" in told
+        elif field.name == "faults":
+            assert re.search(rf'``"{value}"`` \(default', told)
+    interval = scenario.steps_per_measurement
+    assert re.search(rf"\(default {interval}\b", argument(env_id, "decision_interval"))
+    assert f"(default {options.kappa:g})" in argument(env_id, "kappa")
+    assert f'``"{options.filter}"`` (default' in argument(env_id, "filter")
+
+
+@every_environment
+def test_every_parameter_of_every_fault_is_there_with_its_default(env_id):
+    told = argument(env_id, "faults")
+    for name, fault in gym.make(env_id).unwrapped.scenario.known_faults.items():
+        item = told.split(f"- ``{name}``:")[1].split(" - ")[0]
+        assert re.findall(r"``(\w+)`` \(", item) == [
+            field.name for field in dataclasses.fields(fault)
+        ]
+        for field in dataclasses.fields(fault):
+            numbers = re.findall(r"[\d.]+", item.split(f"``{field.name}`` (")[1].split(")")[0])
+            if isinstance(field.default, float | tuple):
+                assert [float(number) for number in numbers] == pytest.approx(
+                    np.ravel(field.default).tolist()
+                )
+
+
+@every_environment
+def test_nothing_is_left_to_fill_in_or_to_wrap(env_id):
+    for text in (page(env_id), inspect.getdoc(vector_class(env_id))):
+        assert not re.search(r"\{\w", text)
+        assert wrap(text) == text
+        assert all(len(line) <= WIDTH for line in text.splitlines() if line[:1] != "|")
+    assert page(env_id).splitlines()[0].endswith(".")  # which `kfenv envs` shows
+
+
+@every_environment
+def test_the_memory_of_an_episode(env_id):
+    core = gym.make(env_id).unwrapped.core
+    arrays = [*core._episode.values(), core._nominal_error]
+    told = re.search(r"its episode, (\S+) MB", inspect.getdoc(vector_class(env_id)))[1]
+    assert float(told) == pytest.approx(sum(array.nbytes for array in arrays) / 1e6, rel=0.05)
+
+
+def test_the_figures_that_are_typed():
+    radar = RadarTracking().radar
+    broadside = np.array([1e4]), np.zeros(1), np.full(1, radar.boresight_elevation)
+    snr = radar.signal_to_noise(*broadside)
+    distance, angle, _ = radar.noise(radar.integrated(snr), *broadside[1:])[0]
+    assert f"{distance:.2f} m and {np.degrees(angle):.2f} deg at 10 km" in flat(TRACKING)
+    for rate, word in ((10.0, "ten"), (2.0, "two")):
+        told = "{:g} m, {:g} deg, {:g} deg".format(*PUBLISHED_NOISE[rate])
+        assert f"{told} at {word}" in flat(VALIDATION)
+    assert f"{PAPER_SPEED:g} m/s, a bank of 45 deg" in flat(INERTIAL)
+    assert f"and back in {PAPER_PERIOD:g} s" in flat(INERTIAL)
+    for env_id, parts in ((GNSS, GNSS_PARTS), (INERTIAL, INERTIAL_PARTS)):
+        assert f"first {100 * parts['tuning'][1]:g} %" in flat(env_id)
+        assert parts["validation"][1] == 0.5  # "next 20 %", "last half"
+
+
+def test_a_page_follows_the_code():
+    class Other(RadarTracking):
+        error_scale, lost_distance = 77.0, 3_000.0
+        initial_deviation = (8.0, 9.0, 7.5)
+
+    text = "Other.\n\n  {rewards}\n\n{episode_end}\n\n{initial_deviations}."
+    text = " ".join(compose(text, Other).split())
+    assert "The error scale is 77 m." in text
+    assert "above 3 km" in text
+    assert "8 m, 9 m/s and 7.5 m/s^2 per axis" in text
+
+
+def test_a_paragraph_that_there_is_not_is_refused():
+    class Env:
+        """What. {raptures}"""
+
+        scenario_class = RadarTracking
+
+    with pytest.raises(KeyError, match="raptures"):
+        with_page(Env)

@@ -116,7 +116,7 @@ class InertialStep:
 
     Attributes:
         probability: of an episode having it at all.
-        size: range of the constant; see the subclasses for its unit.
+        size: range of the constant, in the unit of what it is added to.
         duration: range of its length, s.
         start: when it begins, s; None draws it at random.
         axes: body axes (0 forward, 1 right, 2 down) that get the constant with a plus;

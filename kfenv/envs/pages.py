@@ -1,0 +1,376 @@
+"""The environments' pages: what they share, filled from the scenario, amid what is their own.
+
+An environment's docstring says what is special about it and names the shared paragraphs,
+as ``{rewards}``, where they belong; `with_page` writes them out, so that ``help`` shows the
+whole page. ``{scenario.rate:g}`` is an attribute of the scenario with default arguments,
+``{module.DURATION:g}`` a constant of the module that defines it, ``{flight.MAX_RANGE:g}`` one
+of the random flights, ``{preset[random]}`` the faults of a preset. A literal brace is doubled.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from inspect import cleandoc
+from textwrap import indent
+from typing import Any
+
+import numpy as np
+
+from kfenv.envs import statistics
+from kfenv.envs.core import REWARD_CAP
+from kfenv.envs.fault_lists import known_faults, named_faults
+from kfenv.envs.knobs import (
+    FADING,
+    MEASUREMENT_NOISE,
+    OUTLIER_WEIGHT,
+    PROCESS_NOISE,
+    Knob,
+    knobs_of,
+)
+from kfenv.envs.options import ENGINE, GAUSSIAN_SUMS, Options
+from kfenv.envs.wording import factor, listed, table, wrap
+from kfenv.filters.adaptive import told_design
+from kfenv.models.model import Component
+from kfenv.scenarios import trajectories
+from kfenv.scenarios.scenario import MAX_RATE, MIN_RATE
+
+ORDINALS = ("first", "second", "third")
+AXES = 3  # as many channels of a group are told one by one
+
+
+def with_page(env_class: type) -> type:
+    """Write out the docstring of an environment: a decorator.
+
+    Raises:
+        KeyError: for a paragraph that there is not.
+        AttributeError: for an attribute that the scenario has not.
+    """
+    if env_class.__doc__:  # not where Python strips docstrings
+        env_class.__doc__ = compose(env_class.__doc__, env_class.scenario_class)
+    return env_class
+
+
+def compose(text: str, scenario_class: type) -> str:
+    """The text with its shared paragraphs and figures filled in, wrapped anew."""
+    scenario = scenario_class()
+    figures = {
+        "scenario": scenario,
+        "module": sys.modules[scenario_class.__module__],
+        "flight": trajectories,
+        "preset": {
+            name: named_faults(faults, scenario.known_faults)
+            for name, faults in scenario.presets.items()
+        },
+    }
+    shared = {paragraph.__name__: paragraph(scenario) for paragraph in PARAGRAPHS}
+    lines = []
+    for line in cleandoc(text).splitlines():
+        newline = "\n" + line[: len(line) - len(line.lstrip())]  # keeps a paragraph's indent
+        lines.append(
+            line.format(**figures, **{k: v.replace("\n", newline) for k, v in shared.items()})
+        )
+    return wrap("\n".join(lines))
+
+
+def _paragraphs(*texts: str) -> str:
+    return "\n\n".join(map(cleandoc, texts))
+
+
+def _if_rare(scenario: Any, text: str) -> str:
+    """The text, where measurements are rarer than filter steps."""
+    return text if scenario.steps_per_measurement > 1 else ""
+
+
+# ----- Description ----------------------------------------------------------------------
+
+
+def decisions(scenario: Any) -> str:
+    """How an episode and a decision go; ends with the filter."""
+    return _paragraphs("""
+        Every random thing (truth, faults, noise) is drawn before the filter runs, so that the
+        action changes the filter and never the world. Before each decision the agent sees the
+        innovation of the *pending* measurement, formed with nominal knobs; the step then
+        applies the knobs to that measurement, updates, and predicts to the next one. The filter
+        is a square-root sigma-point filter with the exact Joseph form""")
+
+
+def info(scenario: Any) -> str:
+    """What `info` holds."""
+    states = ", ".join(f"{state.name} ({state.unit})" for state in scenario.motion.states)
+    return _paragraphs(
+        "``info`` holds, after ``reset`` and every ``step``:",
+        f"""
+        - ``time`` (s) of the filter step made last, its ``position_error`` (m) and ``nis`` (0 if
+          nothing arrived), and its ``estimate`` of {len(scenario.motion.states)} states: {states};
+        - of the measurement that is pending ``innovation``, in {_channels(scenario)},
+          ``innovation_variance`` in the squares of these units, and ``noise``, the standard
+          deviations that the filter is told; innovation and variance are zero and infinite in
+          channels that are missing and at the episode's end;
+        - where the truth is known ``truth`` and ``nees`` (of the position, 3 degrees of freedom);
+        - after a step ``knobs``, the factors applied.""",
+    )
+
+
+def _channels(scenario: Any) -> str:
+    """The measured channels, group by group, with their units."""
+    told = []
+    for group in scenario.sensor.groups:
+        channels = [channel for channel in scenario.sensor.channels if channel.group == group]
+        names, unit = [channel.name for channel in channels], channels[0].unit
+        if len(names) <= AXES:
+            told.append(f"{', '.join(names)} ({unit})")
+        else:
+            told.append(f"{names[0]} to {names[-1]} ({group}, {unit})")
+    return ", ".join(told)
+
+
+# ----- Spaces ---------------------------------------------------------------------------
+
+
+def action_space(scenario: Any) -> str:
+    """The knobs."""
+    knobs = knobs_of(scenario.sensor.groups)
+    return _paragraphs(
+        f"""
+        ``Box(-1, 1, ({len(knobs)},), float32)``, one component a per knob, less where ``actions``
+        exposes less. The factor is high^a for a >= 0 and low^-a for a < 0, so that zero is
+        the nominal filter. Values beyond the space are taken to its edge.
+        {_if_rare(scenario, "Fading acts at the instants of measurements alone.")}""",
+        table(("Knob", "Range", "Meaning"), map(_knob_row, knobs)),
+        f"""
+        A Gaussian sum as ``filter`` has one knob more, ``{OUTLIER_WEIGHT.name}``
+        ({_range(OUTLIER_WEIGHT)}), which multiplies the odds that it gives an outlier.""",
+    )
+
+
+def _knob_row(knob: Knob) -> tuple[str, str, str]:
+    meaning = {
+        FADING.name: "multiplies the propagated covariance, before its noise",
+        PROCESS_NOISE.name: "multiplies the covariance of the process noise",
+    }.get(knob.name, f"multiplies the standard deviation of the {knob.name.replace('_', ' ')}")
+    return knob.name, _range(knob), meaning
+
+
+def _range(knob: Knob) -> str:
+    return f"{factor(knob.low)} to {factor(knob.high)}"
+
+
+def observation_space(scenario: Any) -> str:
+    """The features."""
+    groups = scenario.sensor.groups
+    size = len(groups) * statistics.PER_GROUP + statistics.COMMON + len(knobs_of(groups))
+    several = len(scenario.sensor.channels) > len(groups)
+    sums = """The whitened innovation of a group is the sum over its channels that arrived, over
+        the root of their number; squares and shares are means over them."""
+    return _paragraphs(
+        f"""
+        ``Box(float32)`` of {size} components with all knobs, all dimensionless:
+        {statistics.PER_GROUP} for each of the groups {listed(groups)}
+        ({listed(ORDINALS[: len(groups)])} index), {statistics.COMMON} common ones, and the
+        previous action. Nothing in it needs the truth. Windows are exponential; logarithms are
+        natural; the space bounds all components by {-statistics.BOUND:g} and
+        {statistics.BOUND:g}, the previous action by -1 and 1. The features of the present (the
+        first and the last two of a group) are zero where the {"group" if several else "channel"}
+        is missing or nothing is pending. {sums if several else ""}""",
+        table(("Index", "Meaning", "Bounds"), _feature_rows(groups, several)),
+        """
+        Deviations are roots of the trace of the covariance predicted with nominal knobs.
+        ``env.unwrapped.core.feature_names()`` names every component.""",
+    )
+
+
+def _feature_rows(groups: Sequence[str], several: bool) -> list[tuple[str, str, str]]:
+    begin = len(groups) * statistics.PER_GROUP
+    action = begin + statistics.COMMON
+    starts = range(0, begin, statistics.PER_GROUP)
+    of_group, common = _group_features(several), _common_features()
+    rows = [(", ".join(str(s + i) for s in starts), *row) for i, row in enumerate(of_group)]
+    rows += [(str(begin + i), *row) for i, row in enumerate(common)]
+    places = f"{action} to {action + len(knobs_of(groups)) - 1}"
+    return [*rows, (places, "the previous action, one component per exposed knob", "-1 to 1")]
+
+
+def _group_features(several: bool) -> list[tuple[str, str]]:
+    first, *others = (f"{window:g} arrivals" for window in statistics.WINDOWS)
+    bounds = f"{-statistics.BOUND:g} to {statistics.BOUND:g}"
+    arrived = ("share of the group's channels that arrived", "0 to 1")
+    return [
+        ("whitened innovation w now: sign(w) log(1 + abs(w))", bounds),
+        (f"log of the RMS of w over a window of {first}", bounds),
+        *((f"the same over {window}", bounds) for window in others),
+        (f"lag-1 correlation of w over {statistics.WINDOWS[-1]:g} arrivals", "-1 to 1"),
+        arrived if several else ("whether the channel arrived", "0 or 1"),
+        ("share of the told noise in the innovation's variance", "0 to 1"),
+    ]
+
+
+def _common_features() -> list[tuple[str, str]]:
+    bounds = f"{-statistics.BOUND:g} to {statistics.BOUND:g}"
+    return [
+        ("log(1 + seconds since anything arrived)", f"0 to {statistics.BOUND:g}"),
+        ("log of the predicted position deviation over the error scale", bounds),
+        ("log of the predicted velocity deviation over a tenth of that per s", bounds),
+    ]
+
+
+# ----- Rewards and episodes ---------------------------------------------------------------
+
+
+def rewards(scenario: Any) -> str:
+    """What a decision earns."""
+    rmse, improvement = REWARD_CAP["rmse"], REWARD_CAP["improvement"]
+    return _paragraphs(
+        f"""
+        The error scale is {scenario.error_scale:g} m. Errors are those of the position, m, over
+        the filter steps of one decision.""",
+        f"""
+        - ``"rmse"`` (default): minus the RMS error over the error scale, at least {-rmse:g}.
+        - ``"improvement"``: log of the RMS error of a nominal filter on the same measurements
+          over this filter's, between {-improvement:g} and {improvement:g}; of less variance,
+          for training.""",
+        f"""
+        A lost track costs the cap ({rmse:g} or {improvement:g}) for that decision and each that
+        remained, so that losing it never pays. Without truth, and with the track kept, the reward
+        is zero.""",
+    )
+
+
+def random_flight(scenario: Any) -> str:
+    """What flies unless told otherwise."""
+    slowest, fastest = np.degrees((trajectories.MIN_TURN_RATE, trajectories.MAX_TURN_RATE))
+    return _paragraphs(f"""
+        The flight is random: straight legs, turns of {slowest:g} to {fastest:g} deg/s, climbs
+        and changes of speed, {trajectories.MIN_SPEED:g} to {trajectories.MAX_SPEED:g} m/s,
+        {trajectories.MIN_ALTITUDE:g} to {trajectories.MAX_ALTITUDE:g} m high""")
+
+
+def initial_deviations(scenario: Any) -> str:
+    """How well the filter knows where it starts."""
+    names: dict[str, list[str]] = {}
+    for state, deviation in zip(scenario.motion.states, scenario.initial_deviations, strict=True):
+        names.setdefault(_with_unit(deviation, state), []).append(state.name)
+    axes = [told for told, states in names.items() if len(states) > 1]
+    single = [f"{told} of the {states[0]}" for told, states in names.items() if len(states) == 1]
+    more = f", {listed(single)}" if single else ""
+    return f"""The initial estimate is drawn about the truth with standard deviations
+        {listed(axes)} per axis{more}, which the filter knows"""
+
+
+def _with_unit(value: float, state: Component) -> str:
+    return f"{np.degrees(value):.3g} deg" if state.angle else f"{value:.3g} {state.unit}"
+
+
+def first_decision(scenario: Any) -> str:
+    """What happens at the first instant."""
+    return _paragraphs("""
+        The first decision concerns the measurement at the first instant, which updates the
+        initial state without a prediction.""")
+
+
+def episode_end(scenario: Any) -> str:
+    """When it is over."""
+    return _paragraphs(f"""
+        Terminated when the track is lost: a position error above
+        {scenario.lost_distance / 1e3:g} km, or a filter that fails (numbers that are not finite).
+        Truncated after the last instant, which is after ``duration * rate + 1`` filter
+        steps
+        ({len(scenario.time)} by default).""")
+
+
+# ----- Arguments --------------------------------------------------------------------------
+
+
+def rates(scenario: Any) -> str:
+    """Between what `rate` may lie."""
+    return f"{MIN_RATE:g} to {MAX_RATE:g} (default {scenario.rate:g})"
+
+
+def track_file(scenario: Any) -> str:
+    """What `track` is."""
+    return _paragraphs("""
+        path of a CSV file with the columns t (s), lat, lon (degrees) and alt_m (m) of a real
+        flight, which becomes the truth""")
+
+
+def radar_position(scenario: Any) -> str:
+    """Where the radar stands beside a real flight."""
+    return _paragraphs("""
+        latitude and longitude (degrees) and height (m) of the radar beside that flight; without
+        it the window is placed at random.""")
+
+
+def other_faults(scenario: Any) -> str:
+    """Faults that are no preset."""
+    modules = dict.fromkeys(fault.__module__ for fault in scenario.known_faults.values())
+    mapping = """
+        - a mapping from names to parameters, e.g. ``{"jamming": {"start": 20, "bursts":
+          [1, 1]}}``. The names, and the parameters with their defaults, which hold above too
+          where nothing else is said:"""
+    objects = f"""
+        - a list of such objects from {listed(f"`{module}`" for module in modules)}, or of one's
+          own: anything with a ``label`` and a method ``apply(draft, rng)``."""
+    items = indent(known_faults(scenario.known_faults), "  ")
+    return "\n\n".join((cleandoc(mapping), items, cleandoc(objects)))
+
+
+def options(scenario: Any) -> str:
+    """The arguments that every environment has."""
+    one = _if_rare(scenario, ", those from one measurement to the next")
+    return _paragraphs(
+        f"""
+        - ``reward``: ``"rmse"`` or ``"improvement"``, see Rewards.
+        - ``actions``: names of the knobs to expose, from the table above;
+          ``"{MEASUREMENT_NOISE}"`` stands for the {len(scenario.sensor.groups)} noise knobs.
+          Default all.
+        - ``recording``: {_recording(scenario)}
+        - ``decision_interval``: filter steps for which an action holds, 1 or more (default
+          {scenario.steps_per_measurement}{one}).
+        - ``filter``: {_filters(scenario)}
+        - ``kappa``: spread of the sigma points, 0 or more (default {Options.kappa:g}).
+        - ``render_mode``: ``"rgb_array"``, ``"human"`` or None (default).""",
+        """
+        The vector environment also takes ``num_envs`` and ``autoreset_mode``
+        (``"next_step"``, ``"same_step"`` or ``"disabled"``), and does not render.""",
+    )
+
+
+def _recording(scenario: Any) -> str:
+    drawn = "faults and track" if hasattr(scenario, "track") else "faults"
+    apart = """ How far its measurements lie apart is not looked at: give ``rate`` and
+        ``measurement_rate`` as it has them, by which fading and the default
+        ``decision_interval`` go."""
+    return f"""a `kfenv.scenarios.recording.Recording` to replay instead of drawing episodes, one
+        after the other; a seeded ``reset`` starts again at the first. Its times take the place of
+        ``duration`` and ``rate``, and {drawn} are not used.{_if_rare(scenario, apart)}"""
+
+
+def _filters(scenario: Any) -> str:
+    mixture = told_design(GAUSSIAN_SUMS[0], scenario.mixture).mixture
+    return f"""``"{ENGINE}"`` (default, compiled), or a square-root design of
+        `kfenv.filters.designs`, e.g. ``"srukf-joseph"`` with the Jacobian at the posterior as
+        published or ``"srukf-joseph-prior"`` at the prediction; those are slow. The Gaussian sums
+        {listed(f'``"{name}"``' for name in GAUSSIAN_SUMS)} hold {100.0 * mixture.weight:g} % of the
+        measurements for outliers of {mixture.ratio:g} times the variance, and have a knob
+        ``{OUTLIER_WEIGHT.name}`` on the odds of that, but no ``kappa``."""
+
+
+def vector_arguments(scenario: Any) -> str:
+    """What a vector environment takes and promises."""
+    channels, states = len(scenario.sensor.channels), len(scenario.motion.states)
+    numbers = states + 2 * channels + sum(scenario.dimensions) + 2  # truth's weight, nominal error
+    megabytes = 8e-6 * numbers * len(scenario.time)
+    return _paragraphs(f"""
+        Takes ``num_envs`` and ``autoreset_mode`` (``"next_step"`` by default, ``"same_step"``
+        for libraries that expect a fresh observation at once, ``"disabled"``) and every argument
+        of the single environment but ``render_mode``. Sub-environment i seeded with s + i gives
+        the same bits as a single environment seeded so; of a ``recording`` it replays the
+        episodes i, i + num_envs, and so on. A sub-environment holds its episode, {megabytes:.2g} MB
+        by default.""")
+
+
+PARAGRAPHS = (
+    decisions, info, action_space, observation_space, rewards, random_flight, initial_deviations,
+    first_decision, episode_end, rates, track_file, radar_position, other_faults, options,
+    vector_arguments,
+)  # fmt: skip
