@@ -136,11 +136,23 @@ def test_every_parameter_of_every_fault_is_there_with_its_default(env_id):
             field.name for field in dataclasses.fields(fault)
         ]
         for field in dataclasses.fields(fault):
-            numbers = re.findall(r"[\d.]+", item.split(f"``{field.name}`` (")[1].split(")")[0])
+            numbers = re.findall(
+                r"[\d.]+(?:e-?\d+)?", item.split(f"``{field.name}`` (")[1].split(")")[0]
+            )
             if isinstance(field.default, float | tuple):
                 assert [float(number) for number in numbers] == pytest.approx(
                     np.ravel(field.default).tolist()
                 )
+
+
+@every_environment
+def test_every_preset_names_its_faults(env_id):
+    scenario = gym.make(env_id).unwrapped.scenario
+    names = {fault: name for name, fault in scenario.known_faults.items()}
+    for preset, faults in scenario.presets.items():
+        item = argument(env_id, "faults").partition(f'- ``"{preset}"``')[2].split(" - ")[0]
+        for fault in faults:
+            assert f"``{names[type(fault)]}``" in item
 
 
 @every_environment

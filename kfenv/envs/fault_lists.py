@@ -61,4 +61,4 @@ def _value(value: Any) -> str:
         return " to ".join(dict.fromkeys(f"{end:.3g}" for end in value))
     if isinstance(value, str):
         return f'"{value}"'
-    return f"{value:g}" if isinstance(value, float) else repr(value)
+    return f"{value:g}".replace("e+0", "e") if isinstance(value, float) else repr(value)

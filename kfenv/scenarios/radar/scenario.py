@@ -65,8 +65,9 @@ class SelfScreeningJammer:
     """A jammer carried by the target, in the main lobe; power and bandwidth of Table 4 (SPEC 4.2).
 
     Attributes:
-        start, duration: s; S0 jams "at about 70 s", the duration is ours.
-        known: whether the filter is told the jammed noise, as in S0.
+        start: when it begins, s; published is "at about 70 s".
+        duration: its length, s; ours, none is published.
+        known: whether the filter is told the jammed noise, as published.
         power: radiated effectively (ERP), W; with 0 nothing is jammed.
         bandwidth: Hz.
     """
