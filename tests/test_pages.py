@@ -19,11 +19,15 @@ from kfenv.envs.options import Options
 from kfenv.envs.pages import compose, with_page
 from kfenv.envs.statistics import WINDOWS
 from kfenv.envs.wording import WIDTH, wrap
+from kfenv.models.gnss.receiver import range_deviation
+from kfenv.models.strapdown import GRAVITY
+from kfenv.scenarios import coverage
 from kfenv.scenarios.gnss.log import PARTS as GNSS_PARTS
 from kfenv.scenarios.inertial.flights import PAPER_PERIOD, PAPER_SPEED
 from kfenv.scenarios.inertial.log import PARTS as INERTIAL_PARTS
 from kfenv.scenarios.radar.tracking import RadarTracking
 from kfenv.scenarios.radar.validation import PUBLISHED_NOISE
+from kfenv.scenarios.trajectories import paper_trajectory
 
 HEADINGS = [
     "Description", "Action Space", "Observation Space", "Rewards", "Starting State",
@@ -186,6 +190,21 @@ def test_the_figures_that_are_typed():
     for env_id, parts in ((GNSS, GNSS_PARTS), (INERTIAL, INERTIAL_PARTS)):
         assert f"first {100 * parts['tuning'][1]:g} %" in flat(env_id)
         assert parts["validation"][1] == 0.5  # "next 20 %", "last half"
+
+
+def test_the_places_that_are_typed():
+    nearest, farthest = coverage.MIN_RANGE / 1e3, coverage.MAX_RANGE / 1e3
+    broadside = np.degrees(coverage.MIN_ELEVATION + coverage.MAX_ELEVATION) / 2.0
+    assert (
+        f"({nearest:g} to {farthest:g} km, {np.degrees(coverage.MAX_AZIMUTH):g} deg off a "
+        f"broadside {broadside:g} deg above north)" in flat(TRACKING)
+    )
+    time = np.arange(0.0, 250.0, 0.1)
+    distance = np.linalg.norm(paper_trajectory("A", time)[:, ::3], axis=1)
+    closest = f"approach {distance.min():.0f} m at {time[distance.argmin()]:.0f} s"
+    assert closest in flat(VALIDATION)
+    assert f"gravity {GRAVITY:.2f} m/s^2" in flat(INERTIAL)
+    assert f"Their noise is {range_deviation(np.pi / 2.0):.0f} m and" in flat(GNSS)
 
 
 def test_a_page_follows_the_code():
