@@ -6,8 +6,8 @@ from kfenv.agents.contestants.agent import Briefing, channels_of, knob_actions
 from kfenv.agents.contestants.registry import AGENTS, make_agent
 
 from kfenv.envs.knobs import actions_for, knobs_of
-from kfenv.models.gnss.pseudorange import pseudoranges
 from kfenv.models.radar import radar
+from kfenv.scenarios.gnss.tracking import GnssTracking
 from kfenv.scenarios.radar.tracking import RadarTracking
 
 KNOBS = knobs_of(radar().groups)
@@ -19,7 +19,7 @@ def briefing(batch=1, steps=3, noise=1.0, true_noise=1.0):
     shape = recording.noise.shape
     object.__setattr__(recording, "noise", np.full(shape, noise))
     object.__setattr__(recording, "true_noise", np.full(shape, true_noise))
-    return Briefing(KNOBS, radar(), batch, 0, recording)
+    return Briefing(KNOBS, scenario, batch, 0, recording)
 
 
 def info(innovation, variance, noise=1.0):
@@ -55,9 +55,9 @@ def test_channels_of_a_group_share_its_knob():
 
 
 def test_a_group_listens_to_the_channels_that_arrived():
-    sensor = pseudoranges()
+    scenario = GnssTracking()
     recording = briefing(batch=2).recording
-    asked = Briefing(knobs_of(sensor.groups), sensor, 2, 0, recording)
+    asked = Briefing(knobs_of(scenario.sensor.groups), scenario, 2, 0, recording)
     noise = np.full((2, 24), np.nan)
     noise[0, :3], noise[0, 14] = (1.0, 5.0, 7.0), 4.0  # the other filter heard nothing
     actions = knob_actions(asked, 1.0, 1.0, noise)

@@ -10,7 +10,7 @@ import pytest
 from kfenv.agents.contest.evaluation import Contest
 from kfenv.agents.contest.rollout import rollout
 from kfenv.agents.contestants.registry import make_agent
-from kfenv.agents.contestants.rules import InnovationFading, InnovationFadingPrinted
+from kfenv.agents.contestants.rules.fading import InnovationFading, InnovationFadingPrinted
 from kfenv.agents.reproduction import inertial_navigation
 from kfenv.agents.reproduction.claims import FAILS, HOLDS, with_interval
 from kfenv.agents.reproduction.laboratory import Laboratory

@@ -135,7 +135,7 @@ def _decide(
     core = Core(scenario, options, len(recording), recording.time, has_truth=True)
     core.load(np.arange(len(recording)), recording)
     shown = recording if agent.clairvoyant else None
-    agent.reset(Briefing(core.knobs, scenario.sensor, core.batch, seed, shown, core.interval))
+    agent.reset(Briefing(core.knobs, scenario, core.batch, seed, shown, core.interval))
     running, lost = np.ones(core.batch, bool), np.zeros(core.batch, bool)
     times, errors, factors = [], [], []
     while running.any():

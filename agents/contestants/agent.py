@@ -16,6 +16,7 @@ from kfenv.envs.options import Options
 from kfenv.filters.results import History
 from kfenv.models.model import Sensor
 from kfenv.scenarios.recording import Recording
+from kfenv.scenarios.scenario import TrackingScenario
 
 Array = NDArray[np.float64]
 
@@ -26,7 +27,8 @@ class Briefing:
 
     Attributes:
         knobs: those that the action sets.
-        sensor: channels and their groups.
+        scenario: what the episodes are drawn from: its sensor, and for the rules that know
+            them its motion and its faults.
         batch: number of episodes in lock-step.
         seed: for agents that draw.
         recording: the episodes, for the clairvoyant alone; None for everyone else.
@@ -34,11 +36,16 @@ class Briefing:
     """
 
     knobs: tuple[Knob, ...]
-    sensor: Sensor
+    scenario: TrackingScenario
     batch: int
     seed: int
     recording: Recording | None
     decision_interval: int = 1
+
+    @property
+    def sensor(self) -> Sensor:
+        """Channels and their groups."""
+        return self.scenario.sensor
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Agents that do not adapt, and the one that knows."""
+"""Agents that do not adapt."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kfenv.envs.knobs import Knob, actions_for
 
-from .agent import Agent, Array, Briefing, Parameter, knob_actions
+from .agent import Agent, Array, Briefing, Parameter
 
 
 class Fixed(Agent):
@@ -31,36 +31,6 @@ class FixedTuned(Agent):
         knobs = self.briefing.knobs
         factors = np.array([self.values.get(knob.name, 1.0) for knob in knobs])
         return np.tile(actions_for(factors, knobs), (self.briefing.batch, 1))
-
-
-class Clairvoyant(Agent):
-    """Knows the deviation each measurement's noise was drawn with: the bound for noise tuning.
-
-    The deviation is each channel's own: errors common to several channels, and constant
-    ones, are not in it.
-    """
-
-    parameters = (Parameter("process_noise", 0.05, 200.0, 1.0),)
-    clairvoyant = True
-
-    def reset(self, briefing: Briefing) -> None:
-        """See also `Agent.reset`.
-
-        Raises:
-            ValueError: if the recording does not know its true noise.
-        """
-        super().reset(briefing)
-        if briefing.recording is None or briefing.recording.true_noise is None:
-            raise ValueError("The clairvoyant needs a recording that knows its true noise.")
-        recording = briefing.recording
-        ratio = recording.true_noise / recording.noise
-        self._ratio = np.where(np.isnan(recording.measurement), np.nan, ratio)
-        self._index = 0
-
-    def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
-        ratio = self._ratio[:, min(self._index, self._ratio.shape[1] - 1)]
-        self._index += self.briefing.decision_interval
-        return knob_actions(self.briefing, 1.0, self.values["process_noise"], ratio)
 
 
 class Random(Agent):

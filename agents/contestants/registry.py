@@ -9,19 +9,33 @@ from kfenv.filters.designs import DESIGNS
 from kfenv.names import unknown
 
 from .agent import Agent, Contestant
+from .clairvoyant import Clairvoyant, ClairvoyantRq
 from .family import AdaptiveFamilyFilter, FamilyFilter
-from .fixed import Clairvoyant, Fixed, FixedTuned, Random
+from .fixed import Fixed, FixedTuned, Random
 from .learned import Learned
-from .rules import HuberGate, InnovationFading, InnovationFadingPrinted, InnovationNoise
+from .rules.fading import InnovationFading, InnovationFadingPrinted, StrongTracking
+from .rules.hidden_markov import HmmNoise, HmmTurn
+from .rules.noise import InnovationNoise, PooledNoise, SageHusa, VbNoise
+from .rules.robust import Correntropy, HuberGate, NisGate, StudentT
 
 AGENTS: dict[str, type[Agent]] = {
     "fixed": Fixed,
     "fixed-tuned": FixedTuned,
     "innovation-fading": InnovationFading,
     "innovation-fading-printed": InnovationFadingPrinted,
+    "strong-tracking": StrongTracking,
     "huber-gate": HuberGate,
+    "nis-gate": NisGate,
+    "student-t": StudentT,
+    "correntropy": Correntropy,
+    "sage-husa": SageHusa,
+    "vb-noise": VbNoise,
     "innovation-noise": InnovationNoise,
+    "pooled-noise": PooledNoise,
+    "hmm-noise": HmmNoise,
+    "hmm-turn": HmmTurn,
     "clairvoyant": Clairvoyant,
+    "clairvoyant-rq": ClairvoyantRq,
     "random": Random,
 }
 NAMES = (*AGENTS, *DESIGNS, *ADAPTIVE_DESIGNS)
