@@ -8,7 +8,10 @@ from kfenv.agents.cli.app import app
 from typer.testing import CliRunner
 
 INERTIAL = "kfenv/InsGnss-v0"
-AGENTS = ("innovation-fading", "innovation-fading-printed", "huber-gate", "innovation-noise")
+AGENTS = (
+    "innovation-fading", "innovation-fading-printed", "huber-gate", "innovation-noise",
+    "pooled-noise", "hmm-noise", "hmm-turn",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
