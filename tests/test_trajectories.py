@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kfenv.scenarios import coverage, trajectories
+from kfenv.scenarios.radar.tracking import RadarTracking
 from kfenv.scenarios.trajectories import paper_trajectory, random_trajectory
 
 POSITION, VELOCITY, ACCELERATION = slice(0, 9, 3), slice(1, 9, 3), slice(2, 9, 3)
@@ -190,6 +191,32 @@ class TestRandomTrajectories:
         monkeypatch.setattr(trajectories, "MAX_ATTEMPTS", 5)
         with pytest.raises(RuntimeError, match="no random flight of 10 s"):
             random(0, times(10, 1))
+
+
+class TestSmoothFlights:
+    @given(seed=SEEDS)
+    @settings(max_examples=40, deadline=None)
+    def test_keeps_its_limits_and_coverage(self, seed):
+        states = random_trajectory(np.random.default_rng(seed), times(120, 10), "smooth")
+        speed = np.linalg.norm(states[:, VELOCITY], axis=1)
+        assert speed.min() >= 60.0 - 1e-9
+        assert speed.max() <= 230.0 + 1e-9
+        assert np.abs(states[:, 7]).max() <= 5.0 + 1e-9
+        assert np.degrees(np.abs(turn_rate(states))).max() <= 1.5 + 1e-9
+        assert np.linalg.norm(states[:, ACCELERATION], axis=1).max() < 8.0
+        assert coverage.in_coverage(*states[:, POSITION].T).all()
+
+    def test_the_radar_scenario_flies_them(self):
+        scenario = RadarTracking(rate=2.0, faults="none", flights="smooth")
+        truth = scenario.sample([np.random.default_rng(0)]).truth[0]
+        expected = random_trajectory(np.random.default_rng(0), scenario.time, "smooth")
+        np.testing.assert_array_equal(truth, expected)
+
+    def test_what_is_not_drawn_has_no_style(self):
+        with pytest.raises(ValueError, match="Did you mean 'smooth'"):
+            RadarTracking(flights="smoth")
+        with pytest.raises(ValueError, match="leave it out"):
+            RadarTracking(faults="paper", flights="smooth")
 
 
 class TestCoverage:

@@ -238,11 +238,21 @@ def rewards(scenario: Any) -> str:
 
 def random_flight(scenario: Any) -> str:
     """What flies unless told otherwise."""
-    slowest, fastest = np.degrees((trajectories.MIN_TURN_RATE, trajectories.MAX_TURN_RATE))
     return _paragraphs(f"""
-        The flight is random: straight legs, turns of {slowest:g} to {fastest:g} deg/s, climbs
-        and changes of speed, {trajectories.MIN_SPEED:g} to {trajectories.MAX_SPEED:g} m/s,
+        The flight is random: {_flown("manoeuvring")},
         {trajectories.MIN_ALTITUDE:g} to {trajectories.MAX_ALTITUDE:g} m high""")
+
+
+def smooth_flight(scenario: Any) -> str:
+    """What flies smoothly."""
+    return f"long {_flown('smooth')}"
+
+
+def _flown(flights: str) -> str:
+    style = trajectories.STYLES[flights]
+    slowest, fastest = np.degrees(style.turn_rate)
+    return f"""straight legs, turns of {slowest:g} to {fastest:g} deg/s, climbs and changes of
+        speed, {style.speed[0]:g} to {style.speed[1]:g} m/s"""
 
 
 def initial_deviations(scenario: Any) -> str:
@@ -370,7 +380,7 @@ def vector_arguments(scenario: Any) -> str:
 
 
 PARAGRAPHS = (
-    decisions, info, action_space, observation_space, rewards, random_flight, initial_deviations,
-    first_decision, episode_end, rates, track_file, radar_position, other_faults, options,
-    vector_arguments,
+    decisions, info, action_space, observation_space, rewards, random_flight, smooth_flight,
+    initial_deviations, first_decision, episode_end, rates, track_file, radar_position,
+    other_faults, options, vector_arguments,
 )  # fmt: skip

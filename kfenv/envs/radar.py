@@ -56,6 +56,8 @@ class RadarTrackingEnv(TrackingEnv):
       - ``"none"``.
       {other_faults}
 
+    - ``flights``: how random flights are flown, ``"manoeuvring"`` (default), or ``"smooth"``:
+      {smooth_flight}.
     - ``track``: {track_file}: by default a random window of it, placed at random before the
       radar.
     - ``radar_position``: {radar_position}

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import ceil, floor
+from math import ceil, floor, radians
 from typing import Literal
 
 import numpy as np
@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kfenv.models.model import Motion
 from kfenv.models.namespaces import scalar
+from kfenv.names import unknown
 from kfenv.scenarios.coverage import (
     CHECK_STEP,
     MAX_RANGE,
@@ -46,19 +47,53 @@ PAPER_CLIMBS = {
 }
 PAPER_TURN_EDGE, PAPER_CLIMB_EDGE = 3.0, 8.0  # s
 
-# What a random trajectory may do.
-MIN_SPEED, MAX_SPEED = 35.0, 140.0  # m/s
-MAX_SPEED_CHANGE = 25.0  # m/s from one leg to the next
 MIN_ALTITUDE, MAX_ALTITUDE = 150.0, 3_000.0  # m above the radar
-MIN_CLIMB, MAX_CLIMB = 2.0, 12.0  # m/s, up or down
-MIN_TURN_RATE, MAX_TURN_RATE = np.radians(2.0), np.radians(10.0)  # rad/s, left or right
-TURN_LEG, TURN_EDGE = (6.0, 25.0), (2.0, 5.0)  # s, shortest and longest
-CLIMB_LEG, CLIMB_EDGE = (15.0, 40.0), (8.0, 12.0)  # s
-TURNING, CLIMBING, ACCELERATING = 0.6, 0.5, 0.6  # shares of the legs
 MAX_DURATION = 600.0  # s; a longer flight hardly ever stays in coverage
 MAX_ATTEMPTS = 1_000
 
 INNER_STEP = 0.25  # s; position is then good to 1 mm
+
+
+@dataclass(frozen=True)
+class Style:
+    """What a random flight may do; pairs are the least and the greatest.
+
+    Attributes:
+        speed: m/s; speed_change: the most from one leg to the next, m/s.
+        turn_rate: of a turn, either way, rad/s; climb: of a climb or descent, m/s.
+        turn_leg, climb_leg: time from one edge to the next, s.
+        turn_edge, climb_edge: how long an edge lasts, s.
+        turning, climbing, accelerating: shares of the legs that do so.
+    """
+
+    speed: tuple[float, float]
+    speed_change: float
+    turn_rate: tuple[float, float]
+    climb: tuple[float, float]
+    turn_leg: tuple[float, float]
+    turn_edge: tuple[float, float]
+    climb_leg: tuple[float, float]
+    climb_edge: tuple[float, float]
+    turning: float
+    climbing: float
+    accelerating: float
+
+
+STYLES = {
+    "manoeuvring": Style(
+        speed=(35.0, 140.0), speed_change=25.0,
+        turn_rate=(radians(2.0), radians(10.0)), climb=(2.0, 12.0),
+        turn_leg=(6.0, 25.0), turn_edge=(2.0, 5.0), climb_leg=(15.0, 40.0), climb_edge=(8.0, 12.0),
+        turning=0.6, climbing=0.5, accelerating=0.6,
+    ),
+    "smooth": Style(
+        speed=(60.0, 230.0), speed_change=10.0,
+        turn_rate=(0.0, radians(1.5)), climb=(0.0, 5.0),
+        turn_leg=(30.0, 90.0), turn_edge=(6.0, 12.0),
+        climb_leg=(30.0, 90.0), climb_edge=(12.0, 20.0),
+        turning=0.5, climbing=0.5, accelerating=0.3,
+    ),
+}  # fmt: skip
 
 
 def paper_trajectory(name: Literal["A", "B"], time: ArrayLike) -> Array:
@@ -117,27 +152,29 @@ def drawn_trajectory(rng: Generator, motion: Motion, start: Array, time: Array) 
     return truth
 
 
-def random_trajectory(rng: Generator, time: ArrayLike) -> Array:
+def random_trajectory(rng: Generator, time: ArrayLike, flights: str = "manoeuvring") -> Array:
     """Return a random flight that stays in the radar's coverage (`kfenv.scenarios.coverage`).
 
-    Straight legs and turns of 2 to 10 deg/s follow one another, and independently of
-    them level legs, climbs and descents of 2 to 12 m/s with changes of speed. Speed
-    stays within 35 to 140 m/s, height within 150 to 3000 m. The flight is then turned
-    about the vertical and shifted at random; a flight that does not fit is redrawn, so
-    long flights are those that turn more.
+    Straight legs and turns follow one another, and independently of them level legs, climbs
+    and descents with changes of speed. Height stays within 150 to 3000 m. The flight is
+    then turned about the vertical and shifted at random; a flight that does not fit is
+    redrawn, so long flights are those that turn more, or are slower.
 
     Args:
         rng: where the flight comes from; the same state gives the same bits.
         time: (T,) increasing, s. Flights of one duration do not depend on the sampling.
+        flights: "manoeuvring" (turns of 2 to 10 deg/s, climbs of 2 to 12 m/s, 35 to
+            140 m/s) or "smooth" (long legs, turns of up to 1.5 deg/s, climbs of up to
+            5 m/s, 60 to 230 m/s), see `STYLES`.
 
     Returns:
         States (T, 9) in m, m/s, m/s^2.
 
     Raises:
-        ValueError: if the times are unusable or span more than 600 s.
-        RuntimeError: if no flight stayed in coverage (none seen up to 600 s).
+        ValueError: if the times are unusable or span more than 600 s, or flights are unknown.
+        RuntimeError: if no flight stayed in coverage (none seen up to 600 s, smooth 400 s).
     """
-    time = check_time(time)
+    style, time = style_of(flights), check_time(time)
     elapsed = time - time[0]
     duration = round(float(elapsed[-1]), 6)  # 0.1 * 1200 and 0.5 * 240 are the same flight
     if duration > MAX_DURATION:
@@ -146,7 +183,7 @@ def random_trajectory(rng: Generator, time: ArrayLike) -> Array:
             "split it into episodes."
         )
     for _ in range(MAX_ATTEMPTS):
-        flight = _random_flight(rng, duration)
+        flight = _random_flight(rng, duration, style)
         nodes = _fly(flight, duration)
         start = _random_start(rng, nodes)
         if start is not None:
@@ -159,6 +196,17 @@ def random_trajectory(rng: Generator, time: ArrayLike) -> Array:
     raise RuntimeError(
         f"no random flight of {duration:g} s stayed in coverage; ask for a shorter one."
     )
+
+
+def style_of(flights: str) -> Style:
+    """The style of that name.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    if flights not in STYLES:
+        raise ValueError(unknown("flights", flights, STYLES))
+    return STYLES[flights]
 
 
 @dataclass(frozen=True)
@@ -276,16 +324,17 @@ def _windows(
     return Commands(begin, np.full(begin.size, edge), level)
 
 
-def _random_flight(rng: Generator, duration: float) -> Flight:
-    begin, edge = _random_legs(rng, duration, TURN_LEG, TURN_EDGE)
-    rate = _either_way(rng, MIN_TURN_RATE, MAX_TURN_RATE, TURNING, begin.size + 1)
+def _random_flight(rng: Generator, duration: float, style: Style) -> Flight:
+    begin, edge = _random_legs(rng, duration, style.turn_leg, style.turn_edge)
+    rate = _either_way(rng, style.turn_rate, style.turning, begin.size + 1)
     turns = Commands(begin, edge, rate[None, :])
 
-    begin, edge = _random_legs(rng, duration, CLIMB_LEG, CLIMB_EDGE)
-    climb = _either_way(rng, MIN_CLIMB, MAX_CLIMB, CLIMBING, begin.size + 1)
-    change = _either_way(rng, 0.0, MAX_SPEED_CHANGE, ACCELERATING, begin.size + 1)
-    change[0] = rng.uniform(0.0, MAX_SPEED - MIN_SPEED)
-    speed = MIN_SPEED + _folded(np.cumsum(change), MAX_SPEED - MIN_SPEED)
+    begin, edge = _random_legs(rng, duration, style.climb_leg, style.climb_edge)
+    climb = _either_way(rng, style.climb, style.climbing, begin.size + 1)
+    change = _either_way(rng, (0.0, style.speed_change), style.accelerating, begin.size + 1)
+    slowest, span = style.speed[0], style.speed[1] - style.speed[0]
+    change[0] = rng.uniform(0.0, span)
+    speed = slowest + _folded(np.cumsum(change), span)
     return Flight(turns, Commands(begin, edge, np.stack([climb, speed])), heading=0.0)
 
 
@@ -298,9 +347,9 @@ def _random_legs(
     return begin, rng.uniform(*edge, count)
 
 
-def _either_way(rng: Generator, least: float, most: float, share: float, count: int) -> Array:
-    """Draw values of a size between least and most, of either sign; all but a share are 0."""
-    size = rng.uniform(least, most, count)
+def _either_way(rng: Generator, size: tuple[float, float], share: float, count: int) -> Array:
+    """Draw values of a size within the pair, of either sign; all but a share are 0."""
+    size = rng.uniform(*size, count)
     sign = np.where(rng.random(count) < 0.5, -1.0, 1.0)
     return np.where(rng.random(count) < share, sign * size, 0.0)
 

@@ -16,7 +16,12 @@ from kfenv.models.phased_array import PhasedArray
 from kfenv.models.variable_turn import variable_turn
 from kfenv.scenarios.faults import FAULTS, Fault, Glint, Jamming, NoiseMisreport, SignalLoss
 from kfenv.scenarios.radar.scenario import RadarDraft, RadarScenario, Rain, SelfScreeningJammer
-from kfenv.scenarios.trajectories import MAX_DURATION, paper_trajectory, random_trajectory
+from kfenv.scenarios.trajectories import (
+    MAX_DURATION,
+    paper_trajectory,
+    random_trajectory,
+    style_of,
+)
 
 Array = NDArray[np.float64]
 
@@ -33,6 +38,7 @@ class RadarTracking(RadarScenario):
     duration: float | None = None
     rate: float = 10.0
     faults: str | Mapping[str, Mapping[str, object]] | Sequence[Fault] = "random"
+    flights: str = "manoeuvring"
 
     name: ClassVar[str] = "RadarTracking"
     radar: ClassVar[PhasedArray] = PhasedArray()
@@ -53,7 +59,13 @@ class RadarTracking(RadarScenario):
             duration = PAPER_DURATION if self.faults == "paper" else DURATION
             object.__setattr__(self, "duration", duration)
         super().__post_init__()
+        style_of(self.flights)  # complains
         at_random = self.track is None and self.faults != "paper"
+        if not at_random and self.flights != "manoeuvring":
+            raise ValueError(
+                "flights says how random flights are flown: leave it out with a track or "
+                "faults='paper'."
+            )
         if at_random and self.duration > MAX_DURATION:
             raise ValueError(
                 f"A random flight lasts at most {MAX_DURATION:g} s, got duration="
@@ -71,7 +83,7 @@ class RadarTracking(RadarScenario):
             return super().trajectory(rng)
         if self.faults == "paper":
             return paper_trajectory("B", self.time)
-        return random_trajectory(rng, self.time)
+        return random_trajectory(rng, self.time, self.flights)
 
     def draft(self, truth: Array, rng: Generator) -> RadarDraft:
         """The clean episode: S/N from the radar equation, nothing beyond the scan limit."""
