@@ -14,7 +14,10 @@ from rollouts import GNSS, draw, make
 from kfenv.filters.engine import Engine
 from kfenv.filters.matrices import tria
 from kfenv.filters.reference import ReferenceFilter
+from kfenv.models.gnss.atmosphere import niell
+from kfenv.models.gnss.orbits import look_angles
 from kfenv.models.gnss.pseudorange import CHANNELS, as_printed
+from kfenv.scenarios.faults import Draft
 from kfenv.scenarios.gnss.faults import (
     ClockDegradation,
     MultipathBurst,
@@ -233,6 +236,40 @@ def test_what_the_corrections_leave():
     assert np.nanmax(np.abs(delay[..., CHANNELS:])) == 0.0
 
 
+def test_the_whole_troposphere_is_in_the_loop():
+    """Dry and wet zenith delay by Niell's mapping, 2.3 m and 0.1 m at sea level (S0 eq 53)."""
+    keywords = {"faults": "paper", "duration": 100.0}
+    left = sampled([0], **keywords)[1]
+    whole = sampled([0], troposphere=1.0, **keywords)[1]
+    delay = (whole.measurement - left.measurement)[0, ::10, :CHANNELS]
+    assert np.isfinite(delay).sum() == 6 * 101
+    satellite = left.sensor_inputs[0, ::10].reshape(-1, CHANNELS, 2, 3)[:, :, 0]
+    receiver = left.truth[0, ::10, POSITION].T
+    for channel in np.flatnonzero(np.isfinite(delay[0])):
+        latitude, longitude, height = pymap3d.ecef2geodetic(*receiver.T)
+        elevation = pymap3d.ecef2aer(*satellite[:, channel].T, latitude, longitude, height)[1]
+        dry, wet = niell(np.radians(elevation), np.radians(latitude), height, 60)
+        expected = 2.3 * np.exp(-0.116e-3 * height) * dry + 0.1 * wet
+        np.testing.assert_allclose(delay[:, channel], expected, atol=1e-7)
+    assert 2.0 < np.nanmin(delay) and 7.0 < np.nanmax(delay) < 14.0
+
+
+def test_the_standard_correction_leaves_the_wet_delays_walk():
+    """1 cm^2 in an hour overhead, and the same for all satellites but for their mapping."""
+    scenario, recording = sampled([0], faults="paper", duration=100.0)
+    exact = scenario.clean(Draft, recording.truth[0], None, recording.sensor_inputs[0]).exact
+    seen = np.isfinite(recording.measurement[0, 1000, :CHANNELS])
+    left = np.array([
+        (scenario.draft(recording.truth[0], np.random.default_rng(seed)).exact - exact)[1000, :12]
+        for seed in range(200)
+    ])[:, seen]  # fmt: skip
+    overhead = recording.sensor_inputs[0, 1000].reshape(CHANNELS, 2, 3)[seen, 0]
+    sines = np.sin(look_angles(recording.truth[0, 1000, POSITION], overhead)[0])
+    walks = left * sines
+    assert np.std(walks) == pytest.approx(np.sqrt(1e-4 / 3600.0 * 101.0), rel=0.2)
+    np.testing.assert_allclose(walks, np.tile(walks[:, :1], seen.sum()), rtol=0.02, atol=1e-6)
+
+
 @pytest.mark.parametrize(("keywords", "complaint"), [
     ({"place": (100.0, 0.0, 0.0)}, "place must be"), ({"place": "Turin"}, "place must be"),
     ({"date": "yesterday"}, "date must be"), ({"date": "1979-01-01"}, "since 1980"),
@@ -244,7 +281,7 @@ def test_what_the_corrections_leave():
     ({"date": "20160229T0500"}, "date must be"), ({"date": "2016-02-30"}, "date must be"),
     ({"date": "2016-02-29T05:00+01:00"}, "date must be"), ({"almanac": 5}, "almanac must be the"),
     ({"place": (0.0, 400.0, 0.0)}, "place must be"), ({"place": (0.0, 0.0, 1e6)}, "place must be"),
-    ({"ionosphere": 2.0}, "ionosphere must be"),
+    ({"ionosphere": 2.0}, "ionosphere must be"), ({"troposphere": None}, "troposphere must be"),
     ({"duration": 700.0}, "at most 600"), ({"faults": {"range_jump": {}}}, "range_step"),
     ({"faults": [RangeStep]}, "RangeStep"),
 ])  # fmt: skip

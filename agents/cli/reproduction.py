@@ -23,6 +23,13 @@ def reproduce(
     seed: Seed = 0,
     processes: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
     resume: Resume = False,
+    almanac: Annotated[
+        Path | None,
+        typer.Option(
+            help="YUMA file with the satellites of E4's day, 2016-02-29, in place of the baseline "
+            "constellation."
+        ),
+    ] = None,
 ) -> None:
     """Repeat the experiments of the papers: figures, and a table of which claims hold.
 
@@ -37,7 +44,8 @@ def reproduce(
 
     with complaints():
         names = chosen_experiments(experiment)
+        satellites = None if almanac is None else str(almanac.resolve())
         with progress() as bar:
-            claims = run_experiments(names, output, runs, seed, processes, resume, bar)
+            claims = run_experiments(names, output, runs, seed, processes, resume, bar, satellites)
         console.print(claims_table(claims))
         console.print(f"Figures and claims: {output}")

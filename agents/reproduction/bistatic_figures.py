@@ -14,7 +14,7 @@ from .figures import PLAIN
 Array = NDArray[np.float64]
 
 CORNERS = 100  # of an ellipse that is drawn as a polygon
-AROUND = 20.0  # m about an estimate
+AROUND = 14.0  # m about an estimate
 
 
 def velocities(time: Array, truth: Array, estimated: Array, label: str) -> Figure:

@@ -77,6 +77,7 @@ def reproduce(
     processes: int,
     resume: bool,
     progress: Progress,
+    almanac: str | None = None,
 ) -> list[Claim]:
     """Run experiments: figures and claims into a folder for each, all claims into `output`.
 
@@ -84,10 +85,11 @@ def reproduce(
         names: of the experiments.
         runs: in place of each experiment's own number.
         resume: take finished runs from the folder.
+        almanac: path of a YUMA file for E4.
 
     Raises:
         FileExistsError: if the folder holds anything and `resume` is not set.
-        ValueError: if there are too few runs to tell a spread.
+        ValueError: if there are too few runs to tell a spread, or the almanac is none or not used.
     """
     if runs is not None and runs < 2:
         raise ValueError(f"runs must be at least 2, since spreads are told, got {runs}.")
@@ -95,15 +97,23 @@ def reproduce(
         raise FileExistsError(
             f"The folder {output} is not empty: name another with --output, or go on with --resume."
         )
+    if almanac is not None:
+        _check_almanac(names, almanac)
     claims: list[Claim] = []
     for name in names:
         experiment = EXPERIMENTS[name]
         folder = output / name
         folder.mkdir(parents=True, exist_ok=True)
         found = experiment.reproduce(
-            Laboratory(folder, runs or experiment.runs, seed, processes, progress)
+            Laboratory(folder, runs or experiment.runs, seed, processes, progress, almanac)
         )
         write_claims(found, folder)
         claims += found
     write_claims(claims, output)
     return claims
+
+
+def _check_almanac(names: Sequence[str], almanac: str) -> None:
+    if "E4" not in names:
+        raise ValueError("almanac is for E4, the one experiment with satellites: leave it out.")
+    gnss_tracking.papers_case(almanac)  # complains before hours of other experiments

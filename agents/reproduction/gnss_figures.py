@@ -1,4 +1,4 @@
-"""Figures of a satellite receiver: satellites in view, and the errors of its clock."""
+"""Figures of a satellite receiver: satellites in view, errors of its clock and pseudoranges."""
 
 from __future__ import annotations
 
@@ -13,9 +13,12 @@ from kfenv.scenarios.recording import FaultInterval
 
 from ..plotting import COLOURS, clean, shade
 from .figures import DASHES
+from .gnss_pseudoranges import PseudorangeErrors
 from .monte_carlo import Outcome
 
 Array = NDArray[np.float64]
+
+LINEAR = 10.0  # m: greater errors are drawn logarithmically
 
 
 def receiver(
@@ -49,5 +52,28 @@ def receiver(
         clean(axes)
     panels[-1].set_xlabel("time, s")
     figure.legend(*panels[1].get_legend_handles_labels(), frameon=False, ncols=3, fontsize=9,
+                  loc="outside upper center")  # fmt: skip
+    return figure
+
+
+def pseudorange_errors(errors: PseudorangeErrors, faults: Sequence[FaultInterval]) -> Figure:
+    """Of one run: tropospheric delays, what is left of them, and the errors that filters meet."""
+    figure = Figure((9.0, 8.5), layout="constrained")
+    panels = figure.subplots(3, sharex=True)
+    heard = np.flatnonzero(np.isfinite(errors.troposphere).any(axis=0))
+    drawn = (errors.troposphere, 1e3 * errors.left, errors.error)
+    for line, channel in enumerate(heard):
+        up = np.degrees(errors.elevation[np.isfinite(errors.troposphere[:, channel]), channel])
+        label = f"channel {channel + 1}, {up[0]:.0f}° to {up[-1]:.0f}°"
+        for axes, values in zip(panels, drawn, strict=True):
+            axes.plot(errors.time, values[:, channel], color=COLOURS[line], lw=1.2, label=label)
+    panels[0].set(ylabel="tropospheric delay, m", ylim=(0.0, None))
+    panels[1].set(ylabel="left by the standard correction, mm")
+    panels[2].set(ylabel="corrected pseudorange's error, m", xlabel="time, s")
+    panels[2].set_yscale("symlog", linthresh=LINEAR)
+    for axes in panels:
+        shade(axes, faults, labelled=False)
+        clean(axes)
+    figure.legend(*panels[0].get_legend_handles_labels(), frameon=False, ncols=3, fontsize=9,
                   loc="outside upper center")  # fmt: skip
     return figure

@@ -24,6 +24,7 @@ class Laboratory:
         seed: of all recordings.
         processes: worker processes.
         progress: shows a bar for each study.
+        almanac: path of a YUMA file for E4, in place of the baseline constellation.
     """
 
     folder: Path
@@ -31,6 +32,7 @@ class Laboratory:
     seed: int
     processes: int
     progress: Progress
+    almanac: str | None = None
 
     def study(
         self,

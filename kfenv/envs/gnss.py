@@ -23,8 +23,9 @@ class GnssTrackingEnv(TrackingEnv):
 
     A channel follows one satellite for as long as it is visible, so that others rise and
     set without disturbing it; free channels go to the highest satellite without one.
-    Satellite clocks and the standard troposphere and ionosphere are taken off the
-    pseudoranges; the wet delay's random walk stays (1 cm in an hour).
+    The whole troposphere, dry and wet, delays the signals. Satellite clocks and the standard
+    troposphere and ionosphere are taken off the pseudoranges; the wet delay's random walk
+    stays (1 cm in an hour).
 
     {info}
 
@@ -42,8 +43,8 @@ class GnssTrackingEnv(TrackingEnv):
     {rewards}
 
     ## Starting State
-    {random_flight} above ``place`` and within {flight.MAX_RANGE:g} m of it; trajectory B of the
-    paper with ``faults="paper"``; or a window of ``track``. The time of day is random too,
+    {random_flight} above ``place`` and within {flight.MAX_RANGE:g} m of it; our trajectory B
+    with ``faults="paper"``; or a window of ``track``. The time of day is random too,
     unless ``date`` tells it. {initial_deviations}.
 
     {first_decision}
@@ -61,9 +62,9 @@ class GnssTrackingEnv(TrackingEnv):
     - ``faults``: what spoils an episode.
 
       - ``"random"`` (default), each starting at random: {preset[random]}.
-      - ``"paper"``: the published case. Trajectory B at five in the morning (six
-        satellites in view), a clock that jitters, unknown to the filter, and then no satellite:
-        {preset[paper]}.
+      - ``"paper"``: the paper's case, whose flight, hour and faults are ours. Trajectory B at
+        five in the morning (six satellites in view), a clock that jitters, unknown to the
+        filter, and then no satellite: {preset[paper]}.
       - ``"none"``.
       {other_faults}
 
@@ -79,6 +80,8 @@ class GnssTrackingEnv(TrackingEnv):
     - ``mask``: elevation above which satellites are used, deg (default {scenario.mask:g}).
     - ``ionosphere``: share of Klobuchar's ionospheric delay that the corrections leave, -1
       to 1 (default {scenario.ionosphere:g}; 0.5 is usual). The filter is not told.
+    - ``troposphere``: share of the standard tropospheric delay that they leave, -1 to 1
+      (default {scenario.troposphere:g}). The filter is not told.
     - ``track``: {track_file}: a random window of it, where it was flown.
     - ``rinex``: paths of a RINEX 2 or 3 observation file and its navigation file, in place of
       all that is simulated: GPS on L1 of a receiver that stood still at the position in the

@@ -81,10 +81,23 @@ def _fraction(sine: Array, a: Array, b: Array, c: Array) -> Array:
     return zenith / (sine + a / (sine + b / (sine + c)))
 
 
-def troposphere(elevation: ArrayLike, latitude: ArrayLike, height: ArrayLike, day: float) -> Array:
-    """The whole slant delay of the standard atmosphere: what a receiver subtracts, m."""
+def troposphere(
+    elevation: ArrayLike,
+    latitude: ArrayLike,
+    height: ArrayLike,
+    day: float,
+    wet_delay: ArrayLike = WET_DELAY,
+) -> Array:
+    """The whole slant delay, dry and wet, m (S0 eq 53 mapped by Niell).
+
+    With the standard atmosphere's wet delay it is what a receiver subtracts.
+
+    Args:
+        elevation, latitude, height, day: as of `niell`.
+        wet_delay: of the wet part in the zenith, m.
+    """
     dry, wet = niell(elevation, latitude, height, day)
-    return dry * dry_zenith_delay(height) + wet * WET_DELAY
+    return dry * dry_zenith_delay(height) + wet * np.asarray(wet_delay)
 
 
 def klobuchar(

@@ -25,7 +25,7 @@ from kfenv.scenarios.faults import (
 
 Array = NDArray[np.float64]
 
-RATE_SHARE = 5.0 / 150.0  # 1/s: rate error over range error of a degraded clock, as published
+RATE_SHARE = 5.0 / 150.0  # 1/s: rate error over range error of a degraded clock; ours
 
 
 @dataclass
@@ -45,8 +45,8 @@ class GnssDraft(Draft):
 class ClockDegradation:
     """The receiver's clock jitters: a white error common to all satellites, unknown to the filter.
 
-    The rates get a thirtieth of it per second, an error of their own draw (published:
-    150 m and 5 m/s). Being common, it is not part of the channels' true noise.
+    The rates get a thirtieth of it per second, an error of their own draw. S0 tells no
+    size; 150 m and 5 m/s are ours. Being common, it is not part of the channels' true noise.
 
     Attributes:
         duration: range of its length, s.

@@ -166,8 +166,8 @@ def fix(signals: Signals) -> Fixes:
             position, pseudorange = seen.position, seen.pseudorange
             distance = np.linalg.norm(position - receiver[:, None], axis=-1)
             weight = np.nan_to_num(1.0 / seen.deviation)
-        change, covariance = _least_squares(
-            _directions(position, receiver), pseudorange - distance - bias[:, None], weight
+        change, covariance = least_squares(
+            range_slopes(position, receiver), pseudorange - distance - bias[:, None], weight
         )
         receiver, bias = receiver + change[:, :3], bias + change[:, 3]
         receiver[~(np.abs(receiver).max(axis=1) < FARTHEST)] = np.nan
@@ -190,10 +190,10 @@ def clock_bias(signals: Signals, receiver: Array) -> Array:
 def _rates(signals: Signals, receiver: Array) -> tuple[Array, Array]:
     """Velocity and drift (T, 4) with their covariance."""
     seen = view(signals, receiver)
-    directions = _directions(seen.position, receiver)
+    directions = range_slopes(seen.position, receiver)
     along = -np.sum(directions[..., :3] * seen.velocity, axis=-1)
     weight = np.isfinite(along) & np.isfinite(signals.rate)
-    return _least_squares(directions, signals.rate - along, weight / RATE_NOISE)
+    return least_squares(directions, signals.rate - along, weight / RATE_NOISE)
 
 
 def _flight(signals: Signals, receiver: Array) -> tuple[Array, Array]:
@@ -206,14 +206,14 @@ def _flight(signals: Signals, receiver: Array) -> tuple[Array, Array]:
     return distance / SPEED_OF_LIGHT, distance
 
 
-def _directions(position: Array, receiver: Array) -> Array:
+def range_slopes(position: Array, receiver: Array) -> Array:
     """Rows (T, S, 4): how a pseudorange changes with the receiver's position and clock."""
     line = receiver[:, None] - position
     unit = line / np.linalg.norm(line, axis=-1, keepdims=True)
     return np.concatenate((unit, np.ones((*unit.shape[:2], 1))), axis=-1)
 
 
-def _least_squares(rows: Array, residual: Array, weight: Array) -> tuple[Array, Array]:
+def least_squares(rows: Array, residual: Array, weight: Array) -> tuple[Array, Array]:
     """Solve (T, S, 4) x = (T, S); NaN where the rows with weight do not determine x."""
     used = weight > 0.0
     rows = np.where(used[..., None], rows, 0.0) * weight[..., None]

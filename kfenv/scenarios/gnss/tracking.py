@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from kfenv.checks import is_number
 from kfenv.models.constant_acceleration import constant_acceleration
 from kfenv.models.gnss.almanac import baseline_constellation, read_yuma
-from kfenv.models.gnss.atmosphere import WET_DENSITY, klobuchar, niell
+from kfenv.models.gnss.atmosphere import WET_DELAY, WET_DENSITY, klobuchar, troposphere
 from kfenv.models.gnss.clock import with_clock
 from kfenv.models.gnss.orbits import GPS_EPOCH, Constellation, geodetic, gps_seconds, look_angles
 from kfenv.models.gnss.pseudorange import CHANNELS, pseudoranges
@@ -46,7 +46,7 @@ from kfenv.scenarios.trajectories import MAX_DURATION, paper_trajectory, random_
 Array = NDArray[np.float64]
 
 DURATION, PAPER_DURATION, LOG_DURATION = 120.0, 250.0, 300.0  # s, unless told
-PAPER_TIME = timedelta(hours=5)  # of the day: six satellites above 10 deg for 250 s
+PAPER_TIME = timedelta(hours=5)  # of the day, ours: six satellites above 10 deg for 250 s
 CLOCK_DENSITY = 0.1  # (m/s)^2/s, of truth and filter
 DRIFT_DEVIATION = 5.0  # m/s
 # Broadcast ionosphere of a published worked example (seconds per semicircle^n).
@@ -72,6 +72,7 @@ class GnssTracking(TrackingScenario):
         almanac: path of a YUMA file; None for the baseline constellation.
         mask: elevation above which satellites are used, deg.
         ionosphere: share of the ionospheric delay that the corrections leave.
+        troposphere: share of the standard tropospheric delay that they leave.
         track: path of a real flight's CSV file, flown at its own place.
         rinex: paths of a real log's observation and navigation file, in place of all that
             is simulated; the receiver stood still. The log sets `rate`.
@@ -86,6 +87,7 @@ class GnssTracking(TrackingScenario):
     almanac: str | None = None
     mask: float = 10.0
     ionosphere: float = 0.0
+    troposphere: float = 0.0
     track: str | None = None
     rinex: Sequence[str] | None = None
 
@@ -125,11 +127,13 @@ class GnssTracking(TrackingScenario):
             raise ValueError(
                 f"mask must be an elevation in degrees from 0 to below 90, got {self.mask!r}."
             )
-        if not is_number(self.ionosphere) or not -1.0 <= self.ionosphere <= 1.0:
-            raise ValueError(
-                "ionosphere must be the share of the delay that is left, a number between -1 "
-                f"and 1, got {self.ionosphere!r}."
-            )
+        for name in ("ionosphere", "troposphere"):
+            share = getattr(self, name)
+            if not is_number(share) or not -1.0 <= share <= 1.0:
+                raise ValueError(
+                    f"{name} must be the share of the delay that is left, a number between -1 "
+                    f"and 1, got {share!r}."
+                )
         self._check_flight()
 
     def _take_rate(self) -> None:
@@ -237,7 +241,7 @@ class GnssTracking(TrackingScenario):
         return read_yuma(self.almanac, near=_parsed(self.date)).usable()
 
     def trajectory(self, rng: Generator) -> Array:
-        """Truth (T, 11): trajectory B in the published case, the track, or a random flight."""
+        """Truth (T, 11): our trajectory B in the papers' case, the track, or a random flight."""
         place = self.place
         if self.track is not None:
             flight = _flight(self.track)
@@ -299,14 +303,16 @@ class GnssTracking(TrackingScenario):
     ) -> Array:
         """What is left (E, K) of troposphere and ionosphere once the standard ones are taken off.
 
-        The wet delay walks away from the standard one; a share of the ionosphere stays.
+        The wet delay of the truth walks away from the standard one. The standard delay is
+        that of the receiver's true place: that of an estimate 10 m off in height differs by
+        15 mm at 10 deg of elevation.
         """
         latitude, longitude, height = (value[:, None] for value in geodetic(receiver))
         above = np.maximum(elevation, np.radians(3.0))  # lower ones are not used
-        day = _parsed(self.date).timetuple().tm_yday
-        _, mapping = niell(above, latitude, height, day)
+        path = above, latitude, height, _parsed(self.date).timetuple().tm_yday
         walk = np.sqrt(WET_DENSITY / self.measurement_rate) * rng.standard_normal(len(time))
-        delay = mapping * np.cumsum(walk)[:, None]
+        delay = troposphere(*path, WET_DELAY + np.cumsum(walk)[:, None])
+        delay -= (1.0 - self.troposphere) * troposphere(*path)
         if self.ionosphere:
             delay += self.ionosphere * klobuchar(
                 ALPHA, BETA, latitude, longitude, above, azimuth, time[:, None]
