@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -16,6 +17,7 @@ import numpy as np
 
 import kfenv  # noqa: F401  (registers the environments)
 from kfenv.filters.engine import Engine
+from kfenv.filters.results import Run
 from kfenv.models.namespaces import scalar
 from kfenv.scenarios.gnss.tracking import GnssTracking
 from kfenv.scenarios.radar.tracking import RadarTracking
@@ -87,18 +89,10 @@ def _engine_rows() -> list[Row]:
     ]  # fmt: skip
 
 
-def _engine_run(scenario: TrackingScenario) -> tuple[Callable[[], None], int, Recording]:
+def _engine_run(scenario: TrackingScenario) -> tuple[Callable[[], Run], int, Recording]:
     """A call that filters episodes of a scenario, the number of its steps, and the episodes."""
     recording = scenario.sample([np.random.default_rng(i) for i in range(FILTERS)])
-    engine = Engine(scenario.motion, scenario.sensor)
-    ones = np.ones(FILTERS)
-
-    def run() -> None:
-        engine.run(
-            recording.mean, recording.factor, recording.time, recording.motion_inputs,
-            recording.sensor_inputs, recording.measurement, recording.noise, ones, ones,
-        )  # fmt: skip
-
+    run = partial(Engine(scenario.motion, scenario.sensor).run, recording)
     run()
     return run, FILTERS * len(recording.time), recording
 

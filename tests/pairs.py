@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kfenv.filters.matrices import tria
+from kfenv.filters.protocol import Knobs
 from kfenv.models.constant_acceleration import constant_acceleration
 from kfenv.models.model import Component, Motion, MotionFunctions, Sensor
 from kfenv.models.namespaces import batch as namespace
@@ -21,21 +22,22 @@ Array = NDArray[np.float64]
 
 
 class Case(NamedTuple):
-    """Arguments of `run`, in its order."""
+    """Episodes as `Filter.run` takes them, and the knobs to go with them."""
 
     mean: Array
     factor: Array
     time: Array
-    u: Array
-    s: Array
-    z: Array
-    sd: Array
-    fading: Array
-    process_scale: Array
+    motion_inputs: Array
+    sensor_inputs: Array
+    measurement: Array
+    noise: Array
+    knobs: Knobs
 
     def only(self, filters) -> Case:
         """The same recording for some of the filters."""
-        return Case(*(a if a is self.time else a[filters] for a in self))
+        *episodes, knobs = self
+        arrays = (a if a is self.time else a[filters] for a in episodes)
+        return Case(*arrays, Knobs(*(knob[filters] for knob in knobs)))
 
 
 # A robot on a plane with odometry as known input: a state that is an angle, inputs of
@@ -116,8 +118,8 @@ def wrap(angle):
     return angle - 2.0 * np.pi * np.floor(angle / (2.0 * np.pi) + 0.5)
 
 
-def _knobs(batch: int) -> tuple[Array, Array]:
-    return 1.0 + 0.01 * np.arange(batch), 1.0 + 0.3 * np.arange(batch)
+def _knobs(batch: int) -> Knobs:
+    return Knobs(1.0 + 0.01 * np.arange(batch), 1.0 + 0.3 * np.arange(batch))
 
 
 def _correlated_factor(rng, deviations, batch: int) -> Array:
@@ -152,21 +154,21 @@ def radar_case(
     mean[:, 0::3], mean[:, 1::3] = start, velocity
     mean += (factor @ rng.normal(size=(batch, 9, 1)))[:, :, 0]
     nothing = np.zeros((batch, steps, 0))
-    return Case(mean, factor, t, nothing, nothing, z, sd, *_knobs(batch))
+    return Case(mean, factor, t, nothing, nothing, z, sd, _knobs(batch))
 
 
 def position_case(batch: int = 4, steps: int = 150, missing: float = 0.2, seed: int = 2) -> Case:
     """The same aircraft at two measurements of position per second."""
     case = radar_case(batch, steps, 0.0, seed, dt=0.5)
     rng = np.random.default_rng(seed)
-    distance, azimuth, elevation = np.moveaxis(case.z, 2, 0)
+    distance, azimuth, elevation = np.moveaxis(case.measurement, 2, 0)
     ground = distance * np.cos(elevation)
     z = np.stack([ground * np.sin(azimuth), ground * np.cos(azimuth),
                   distance * np.sin(elevation)], axis=2)  # fmt: skip
     z[rng.random(z.shape) < missing] = np.nan
     z[:, 50:60] = np.nan
     sd = 100.0 * rng.uniform(0.5, 2.0, size=z.shape)
-    return case._replace(z=z, sd=sd)
+    return case._replace(measurement=z, noise=sd)
 
 
 def robot_case(batch: int = 4, steps: int = 300, missing: float = 0.3, seed: int = 1) -> Case:
@@ -189,7 +191,7 @@ def robot_case(batch: int = 4, steps: int = 300, missing: float = 0.3, seed: int
     z = z + sd * rng.normal(size=z.shape)
     z[:, :, 1:3] = wrap(z[:, :, 1:3])
     z[rng.random(z.shape) < missing] = np.nan
-    return Case(mean, factor, time, u, s, z, sd.copy(), *_knobs(batch))
+    return Case(mean, factor, time, u, s, z, sd.copy(), _knobs(batch))
 
 
 def strapdown_case(
@@ -212,7 +214,7 @@ def strapdown_case(
     z[:, :, 6:] = wrap(z[:, :, 6:])
     z[rng.random(z.shape) < missing] = np.nan
     z[:, 1::2] = np.nan  # fixes at half the samples' rate
-    return Case(mean, factor, time, u, np.zeros((batch, steps, 0)), z, sd, *_knobs(batch))
+    return Case(mean, factor, time, u, np.zeros((batch, steps, 0)), z, sd, _knobs(batch))
 
 
 def drawn_case(
@@ -241,10 +243,10 @@ def drawn_case(
     z = z + sd * rng.normal(size=sd.shape)
     angles = [channel.angle for channel in sensor.channels]
     z[:, :, angles] = wrap(z[:, :, angles])
-    told, nothing, ones = np.nan_to_num(sd, nan=1.0), np.zeros((batch, steps, 0)), np.ones(batch)
+    told, nothing = np.nan_to_num(sd, nan=1.0), np.zeros((batch, steps, 0))
     means, factors = np.tile(mean, (batch, 1)), np.tile(factor, (batch, 1, 1))
     time = dt * np.arange(steps)
-    return truth, Case(means, factors, time, nothing, nothing, z, told, ones, ones)
+    return truth, Case(means, factors, time, nothing, nothing, z, told, Knobs.nominal(batch))
 
 
 PAIRS = {

@@ -17,6 +17,7 @@ from kfenv.filters.engine import Engine
 from kfenv.filters.fading import Fading, fading_factor, second_moment
 from kfenv.filters.gaussian_sum import GaussianSum, Mixture, collapse, posterior_log_weights
 from kfenv.filters.matrices import transpose
+from kfenv.filters.protocol import Knobs, Measurement
 from kfenv.filters.reference import ReferenceFilter
 from kfenv.filters.replay import faded_update, replay
 from kfenv.filters.results import NOT_POSITIVE_DEFINITE, Prediction
@@ -51,10 +52,9 @@ def direct(count=1):
 def pending(P, z, sd=1.0, q=0.0, m=1):
     """Arguments of an update: prediction with covariance P I + q I, knobs at one, measurement."""
     root, noise = sqrt(P) * np.eye(m)[None], sqrt(q) * np.eye(m)[None]
-    one = np.ones(1)
-    measurement, deviation = np.full((1, m), float(z)), np.full((1, m), float(sd))
     prediction = Prediction(np.zeros((1, m)), root, noise)
-    return prediction, one, one, np.zeros((1, 0)), measurement, deviation, np.zeros(1, np.int64)
+    seen = Measurement(np.zeros((1, 0)), np.full((1, m), float(z)), np.full((1, m), float(sd)))
+    return prediction, Knobs.nominal(1), seen, np.zeros(1, np.int64)
 
 
 def still_case(batch=3, steps=60, m=2, seed=0, missing=0.0):
@@ -63,9 +63,8 @@ def still_case(batch=3, steps=60, m=2, seed=0, missing=0.0):
     z[rng.random(z.shape) < missing] = np.nan
     nothing = np.zeros((batch, steps, 0))
     factor = np.broadcast_to(2.0 * np.eye(m), (batch, m, m)).copy()
-    mean, one = np.zeros((batch, m)), np.ones(batch)
-    time = 0.1 * np.arange(steps)
-    return Case(mean, factor, time, nothing, nothing, z, np.ones(z.shape), one, one)
+    mean, time, sd = np.zeros((batch, m)), 0.1 * np.arange(steps), np.ones(z.shape)
+    return Case(mean, factor, time, nothing, nothing, z, sd, Knobs.nominal(batch))
 
 
 # -- fading -----------------------------------------------------------------------------
@@ -201,13 +200,13 @@ def test_missing_channels_keep_their_moment_and_count_in_no_trace():
 def test_the_fading_filter_is_its_recursion_written_out():
     """Scalar Kalman filter with SPEC 6 by hand, over a run with steps that skip."""
     case = still_case(batch=1, steps=80, m=1, seed=5)
-    case.z[0, 40:] += 6.0
-    case.z[0, 5::7] = np.nan
-    found = AdaptiveFilter(still(), direct(), "ackf").history(*case)
+    case.measurement[0, 40:] += 6.0
+    case.measurement[0, 5::7] = np.nan
+    found = AdaptiveFilter(still(), direct(), "ackf").history(case, case.knobs)
     x, P, V = 0.0, 4.0, None
     for t in range(80):
         Q = 0.1 if t else 0.0
-        nu = case.z[0, t, 0] - x
+        nu = case.measurement[0, t, 0] - x
         if np.isnan(nu):
             P = P + Q
         else:
@@ -236,12 +235,12 @@ def test_weights_are_right_where_likelihoods_underflow():
     sigma, m = 20.0, 9
     tier = ReferenceFilter(still(m), direct(m), CUBATURE)
     sums = GaussianSum(tier, Mixture())
-    prediction, *rest = pending(P=1.0, z=0.0, m=m)
+    prediction, knobs, seen, status = pending(P=1.0, z=0.0, m=m)
     for size in (40.0, 3.0, 0.0):
         S = 1.0 + sigma**2
         z = np.zeros((1, m)) + size * sqrt(S)
         told, nominal = sums.nominal_probability(
-            prediction._replace(root=sigma * prediction.root), *rest[:3], z, *rest[4:]
+            prediction._replace(root=sigma * prediction.root), knobs, seen._replace(value=z), status
         )
         total = Decimal(m) * Decimal(z[0, 0]) ** 2
         gammas = [  # all but the powers of 2 pi; exponents of decimals do not underflow
@@ -292,9 +291,9 @@ def test_without_outliers_the_sum_is_its_base(kind, missing):
     motion, sensor, make = PAIRS["robot, beacon"]
     case = make(batch=3, steps=120, missing=missing)
     base = ADAPTIVE_DESIGNS[kind].base
-    plain = AdaptiveFilter(motion, sensor, kind).history(*case)
+    plain = AdaptiveFilter(motion, sensor, kind).history(case, case.knobs)
     sums = AdaptiveFilter(motion, sensor, AdaptiveDesign(base, None, Mixture(weight=0.0))).history(
-        *case
+        case, case.knobs
     )
     np.testing.assert_allclose(sums.mean, plain.mean, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(sums.covariance, plain.covariance, rtol=1e-9, atol=1e-13)
@@ -305,9 +304,9 @@ def test_the_sum_is_its_equations_written_out():
     """One update of two channels in covariance form, S4 eq 43 to 46 with SPEC 5."""
     P, z, R = np.array([[2.0, 0.6], [0.6, 1.0]]), np.array([1.5, -7.0]), np.diag([1.0, 2.0])
     prediction = Prediction(np.zeros((1, 2)), np.linalg.cholesky(P)[None], np.zeros((1, 2, 2)))
-    one, status = np.ones(1), np.zeros(1, np.int64)
     tier = GaussianSum(ReferenceFilter(still(2), direct(2), CUBATURE), Mixture(0.3, 20.0))
-    arguments = (prediction, one, one, np.zeros((1, 0)), z[None], np.sqrt([[1.0, 2.0]]), status)
+    seen = Measurement(np.zeros((1, 0)), z[None], np.sqrt([[1.0, 2.0]]))
+    arguments = (prediction, Knobs.nominal(1), seen, np.zeros(1, np.int64))
     found = tier.update(*arguments)
     means, covariances, gammas = [], [], []
     for prior, noise in ((0.7, R), (0.3, 20.0 * R)):
@@ -334,10 +333,10 @@ def test_the_sum_ignores_what_a_plain_filter_follows():
     case = still_case(batch=50, steps=200, m=2, seed=3)
     rng = np.random.default_rng(4)
     hit = rng.random((50, 200, 1)) < 0.15
-    z = rng.normal(size=case.z.shape) * np.where(hit, sqrt(500.0), 1.0)
+    z = rng.normal(size=case.measurement.shape) * np.where(hit, sqrt(500.0), 1.0)
     error = {
         name: np.sqrt(np.mean(AdaptiveFilter(still(2), direct(2), name).run(
-            *case._replace(z=z)).mean[:, 50:] ** 2))
+            case._replace(measurement=z), case.knobs).mean[:, 50:] ** 2))
         for name in ("ckf", "gsckf", "ackf", "gsackf")
     }  # fmt: skip
     assert error["gsckf"] < 0.3 * error["ckf"]
@@ -353,7 +352,7 @@ def test_the_sum_ignores_what_a_plain_filter_follows():
 def test_where_everything_is_linear_extended_is_cubature(sums, fades):
     case = still_case(batch=3, steps=60, m=3, missing=0.2)
     first, second = (
-        AdaptiveFilter(still(3), direct(3), f"{sums}{fades}{kind}").history(*case)
+        AdaptiveFilter(still(3), direct(3), f"{sums}{fades}{kind}").history(case, case.knobs)
         for kind in ("ekf", "ckf")
     )
     np.testing.assert_allclose(first.mean, second.mean, atol=1e-10)
@@ -364,8 +363,8 @@ def test_the_plain_ones_are_filters_of_the_family():
     motion, sensor, make = PAIRS["robot, beacon"]
     case = make(batch=2, steps=60)
     for name, other in (("ekf", "ekf-joseph"), ("ckf", "srckf-joseph-exact")):
-        found = AdaptiveFilter(motion, sensor, name).history(*case)
-        expected = ReferenceFilter(motion, sensor, other).history(*case)
+        found = AdaptiveFilter(motion, sensor, name).history(case, case.knobs)
+        expected = ReferenceFilter(motion, sensor, other).history(case, case.knobs)
         np.testing.assert_allclose(found.mean, expected.mean, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-8, atol=1e-12)
         assert DESIGNS[other].transform == ADAPTIVE_DESIGNS[name].base.transform
@@ -378,8 +377,8 @@ def test_over_the_engine_as_over_the_reference(name):
     design = replace(ADAPTIVE_DESIGNS[name], base=DESIGNS["srukf-joseph-exact"])
     fast = Engine(motion, sensor)
     tier = GaussianSum(fast, design.mixture) if design.mixture else fast
-    found = replay(tier, design.fading, *case)
-    expected = AdaptiveFilter(motion, sensor, design).history(*case)
+    found = replay(tier, design.fading, case, case.knobs)
+    expected = AdaptiveFilter(motion, sensor, design).history(case, case.knobs)
     sd = np.sqrt(np.diagonal(expected.covariance, axis1=2, axis2=3))
     assert np.max(np.abs(found.mean - expected.mean) / sd) < 1e-9
     np.testing.assert_array_equal(found.status, 0)
@@ -389,16 +388,16 @@ def test_over_the_engine_as_over_the_reference(name):
 def test_a_broken_filter_leaves_its_neighbours_alone(name):
     motion, sensor, make = PAIRS["robot, beacon"]
     case = make(batch=4, steps=40)
-    broken = case._replace(u=case.u.copy())
-    broken.u[2, 20] = np.nan
+    broken = case._replace(motion_inputs=case.motion_inputs.copy())
+    broken.motion_inputs[2, 20] = np.nan
     tier = AdaptiveFilter(motion, sensor, name)
-    whole, hurt = tier.history(*case), tier.history(*broken)
+    whole, hurt = tier.history(case, case.knobs), tier.history(broken, broken.knobs)
     assert hurt.status[2] != 0 and hurt.failed_at[2] == 20
     assert np.isnan(hurt.mean[2, 20:]).all() and np.isfinite(hurt.mean[2, :20]).all()
     np.testing.assert_array_equal(hurt.mean[[0, 1, 3]], whole.mean[[0, 1, 3]])
-    alone = tier.history(*case.only([1]))
+    alone = tier.history(one := case.only([1]), one.knobs)
     np.testing.assert_array_equal(alone.mean[0], whole.mean[1])
-    again = pickle.loads(pickle.dumps(tier)).run(*case)
+    again = pickle.loads(pickle.dumps(tier)).run(case, case.knobs)
     np.testing.assert_array_equal(again.mean, whole.mean)
 
 

@@ -24,17 +24,17 @@ SETTLED = 30  # steps after which the initial spread, the one that differs, has 
 )
 def test_azimuth_crosses_180_degrees_unnoticed(design, tolerance):
     case = radar_case(batch=4, missing=0.0)
-    late_jumps = np.abs(np.diff(case.z[:, SETTLED:, 1], axis=1))
+    late_jumps = np.abs(np.diff(case.measurement[:, SETTLED:, 1], axis=1))
     assert np.all(late_jumps.max(axis=1) > 6.0)  # it does cross, and after the start
-    z = case.z.copy()
+    z = case.measurement.copy()
     z[:, :, 1] = wrap(z[:, :, 1] + 0.5 * np.pi)
     turned = case._replace(mean=case.mean @ TURN.T, factor=tria(TURN @ case.factor), z=z)
     if design == "engine":
         tier = Engine(variable_turn(), radar())
     else:
         tier = ReferenceFilter(variable_turn(), radar(), design)
-    here, there = tier.run(*case), tier.run(*turned)
-    plain = ReferenceFilter(variable_turn(), radar(), "ekf-joseph").history(*turned)
+    here, there = tier.run(case, case.knobs), tier.run(turned, turned.knobs)
+    plain = ReferenceFilter(variable_turn(), radar(), "ekf-joseph").history(turned, turned.knobs)
     deviation = np.sqrt(np.diagonal(plain.covariance, axis1=2, axis2=3))
     difference = np.abs(here.mean @ TURN.T - there.mean) / deviation
     assert difference[:, SETTLED:].max() < tolerance
@@ -49,7 +49,7 @@ def test_a_state_angle_stays_wrapped_while_the_robot_circles(design, missing):
         tier = Engine(motion, sensor, 3.0)
     else:
         tier = ReferenceFilter(motion, sensor, design)
-    run = tier.run(*case)
+    run = tier.run(case, case.knobs)
     heading = run.mean[:, 1:, 2]
     assert np.all((heading >= -np.pi) & (heading < np.pi))
     assert np.all(np.abs(np.diff(heading, axis=1)).max(axis=1) > 6.0)  # it does go round

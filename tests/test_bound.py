@@ -128,14 +128,14 @@ def test_it_is_the_published_recursion():
     rng, case = np.random.default_rng(2), robot_case(batch=6, steps=30)
     truth = np.cumsum(0.1 * rng.normal(size=(6, 30, 4)), axis=1)
     truth += [0.0, 0.0, 3.0, 2.0]
-    noise = np.where(np.isnan(case.z), np.nan, case.sd)
+    noise = np.where(np.isnan(case.measurement), np.nan, case.noise)
     P = case.factor[0] @ case.factor[0].T
-    args = robot(), beacon(), truth
-    expected = information(*args, np.diff(case.time, prepend=0.0), case.u, case.s, noise, P)
-    found = cramer_rao_bound(*args, case.time, noise, P, case.u, case.s)
+    args, u, s = (robot(), beacon(), truth), case.motion_inputs, case.sensor_inputs
+    expected = information(*args, np.diff(case.time, prepend=0.0), u, s, noise, P)
+    found = cramer_rao_bound(*args, case.time, noise, P, u, s)
     assert difference(found, expected) < 1e-9
-    one = cramer_rao_bound(robot(), beacon(), truth[:1], case.time, noise[:1], P, case.u[:1],
-                           case.s[:1])  # fmt: skip
+    one = cramer_rao_bound(robot(), beacon(), truth[:1], case.time, noise[:1], P, u[:1],
+                           s[:1])  # fmt: skip
     assert difference(one, found) > 1e-2, "the ensemble is meant to matter"
 
 
@@ -182,7 +182,7 @@ def drawn(request):
     bound = cramer_rao_bound(motion, radar(), truth, case.time, noise, np.diag(DEVIATION**2))
     rmse = {}
     for name in FILTERS:
-        run = ReferenceFilter(motion, radar(), name).run(*case)
+        run = ReferenceFilter(motion, radar(), name).run(case, case.knobs)
         assert not run.status.any()
         rmse[name] = np.sqrt(np.mean((run.mean - truth) ** 2, axis=0))
     return request.param, deviations(bound), rmse

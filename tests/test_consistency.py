@@ -59,14 +59,14 @@ def mean_nees(history, truth):
 
 def mean_nis(nis, case):
     """Per degree of freedom, with that number."""
-    freedom = np.count_nonzero(~np.isnan(case.z))
+    freedom = np.count_nonzero(~np.isnan(case.measurement))
     return np.nansum(nis) / freedom, freedom
 
 
 @pytest.mark.parametrize(("system", "name"), EVERY)
 def test_a_filter_of_the_right_model_is_consistent(system, name, drawn):
     truth, case = drawn[system]
-    history = ReferenceFilter(*SYSTEMS[system][:2], name).history(*case)
+    history = ReferenceFilter(*SYSTEMS[system][:2], name).history(case, case.knobs)
     assert not history.status.any()
     low, high = bounds(FLIGHTS * 9, CHANCE / STEPS)
     nees = mean_nees(history, truth)
@@ -78,7 +78,7 @@ def test_a_filter_of_the_right_model_is_consistent(system, name, drawn):
 
 def test_the_engine_is_consistent(drawn):
     case = drawn["radar"][1]
-    nis, freedom = mean_nis(Engine(*SYSTEMS["radar"][:2]).run(*case).nis, case)
+    nis, freedom = mean_nis(Engine(*SYSTEMS["radar"][:2]).run(case, case.knobs).nis, case)
     low, high = bounds(freedom)
     assert low < nis < high
 
@@ -90,8 +90,9 @@ def test_the_engine_is_consistent(drawn):
 def test_a_filter_that_is_told_wrong_is_not(system, told_noise, told_process, drawn):
     """The test has teeth: measurement noise told a quarter wrong, or process noise two-fold."""
     truth, case = drawn[system]
-    told = case._replace(sd=told_noise * case.sd, process_scale=told_process * case.process_scale)
-    history = ReferenceFilter(*SYSTEMS[system][:2], "srukf-joseph-exact").history(*told)
+    told = case._replace(noise=told_noise * case.noise)
+    knobs = case.knobs._replace(process_scale=told_process * case.knobs.process_scale)
+    history = ReferenceFilter(*SYSTEMS[system][:2], "srukf-joseph-exact").history(told, knobs)
     nis, freedom = mean_nis(history.nis, case)
     low, high = bounds(freedom)
     assert not low < nis < high

@@ -7,6 +7,7 @@ import pytest
 from pairs import PAIRS, Case, radar_case, wrap
 
 from kfenv.filters.engine import Engine
+from kfenv.filters.protocol import measured
 from kfenv.filters.reference import ReferenceFilter
 from kfenv.filters.results import Prediction
 from kfenv.models.radar import radar
@@ -35,10 +36,9 @@ def step_through(tier, case: Case):
             prediction = Prediction(mean, factor, np.zeros_like(factor))
         else:
             dt = np.full(batch, case.time[t] - case.time[t - 1])
-            prediction = tier.predict(mean, factor, case.u[:, t], dt, status)
-        seen = (case.s[:, t], case.z[:, t], case.sd[:, t], status)
-        looked = tier.innovate(prediction, case.fading, case.process_scale, *seen)
-        updated = tier.update(prediction, case.fading, case.process_scale, *seen)
+            prediction = tier.predict(mean, factor, case.motion_inputs[:, t], dt, status)
+        pending = prediction, case.knobs, measured(case, t), status
+        looked, updated = tier.innovate(*pending), tier.update(*pending)
         mean, factor = updated.mean, updated.factor
         assert not status.any()
         yield looked, updated
@@ -77,8 +77,8 @@ def test_every_step(name, kappa):
 def test_whole_runs(name, kappa):
     motion, sensor, make_case = PAIRS[name]
     case = make_case()
-    fast = Engine(motion, sensor, kappa).run(*case)
-    plain = ReferenceFilter(motion, sensor, kappa=kappa).history(*case)
+    fast = Engine(motion, sensor, kappa).run(case, case.knobs)
+    plain = ReferenceFilter(motion, sensor, kappa=kappa).history(case, case.knobs)
     assert not fast.status.any() and not plain.status.any()
     deviation = np.sqrt(np.diagonal(plain.covariance, axis1=2, axis2=3))
     difference = fast.mean - plain.mean
@@ -93,7 +93,7 @@ def test_run_is_the_steps_one_by_one():
     motion, sensor, make_case = PAIRS["variable turn, radar"]
     case = make_case()
     for tier in (Engine(motion, sensor), ReferenceFilter(motion, sensor)):
-        run = tier.run(*case)
+        run = tier.run(case, case.knobs)
         for t, (_, updated) in enumerate(step_through(tier, case)):
             np.testing.assert_allclose(run.mean[:, t], updated.mean, rtol=1e-11, atol=1e-9)
 
@@ -101,9 +101,9 @@ def test_run_is_the_steps_one_by_one():
 @pytest.mark.parametrize("tier", [Engine, ReferenceFilter])
 def test_a_filter_has_the_same_bits_alone_and_in_a_batch(tier):
     case = radar_case(batch=5)
-    together = tier(variable_turn(), radar()).run(*case)
+    together = tier(variable_turn(), radar()).run(case, case.knobs)
     for b in range(5):
-        alone = tier(variable_turn(), radar()).run(*case.only([b]))
+        alone = tier(variable_turn(), radar()).run(one := case.only([b]), one.knobs)
         np.testing.assert_array_equal(alone.mean[0], together.mean[b])
         np.testing.assert_array_equal(alone.nis[0], together.nis[b])
 
@@ -112,4 +112,4 @@ def test_a_reference_filter_pickles():
     case = radar_case(batch=2, steps=20)
     tier = ReferenceFilter(variable_turn(), radar(), "srukf-joseph", kappa=2.0)
     again = pickle.loads(pickle.dumps(tier))
-    np.testing.assert_array_equal(again.run(*case).mean, tier.run(*case).mean)
+    np.testing.assert_array_equal(again.run(case, case.knobs).mean, tier.run(case, case.knobs).mean)

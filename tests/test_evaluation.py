@@ -84,11 +84,7 @@ def test_splits_and_training_never_share_a_stream():
 def test_fixed_agent_scores_as_the_engine_run():
     recording = draw_episodes(ENV, SHORT, "test", 3, 5)
     scenario, _ = scenario_and_options(ENV, SHORT)
-    ones = np.ones(5)
-    run = Engine(scenario.motion, scenario.sensor).run(
-        recording.mean, recording.factor, recording.time, recording.motion_inputs,
-        recording.sensor_inputs, recording.measurement, recording.noise, ones, ones,
-    )  # fmt: skip
+    run = Engine(scenario.motion, scenario.sensor).run(recording)
     off = (run.mean - recording.truth)[..., list(scenario.motion.position)]
     rmse = np.sqrt(np.mean(np.sum(off**2, axis=-1), axis=1))
     scores = rollout(make_agent("fixed"), ENV, SHORT, recording)

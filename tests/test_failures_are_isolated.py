@@ -6,6 +6,7 @@ from pairs import radar_case
 
 from kfenv.filters.engine import Engine
 from kfenv.filters.matrices import cholesky, downdate, solve
+from kfenv.filters.protocol import measured
 from kfenv.filters.reference import ReferenceFilter
 from kfenv.filters.results import FAILURES, Prediction, describe_failures
 from kfenv.models.radar import radar
@@ -30,8 +31,8 @@ def case_with(field, value, at=WHEN):
 
 # what: (recording, time of the failure, status)
 SPOILT = {
-    "infinite measurement": (case_with("z", [np.inf, 0.1, 0.1]), WHEN, 2),
-    "noise not told": (case_with("sd", np.nan), WHEN, 2),
+    "infinite measurement": (case_with("measurement", [np.inf, 0.1, 0.1]), WHEN, 2),
+    "noise not told": (case_with("noise", np.nan), WHEN, 2),
     "initial state infinite": (case_with("mean", np.inf, at=1), 0, 1),
     "initial factor not a number": (case_with("factor", np.nan, at=1), 0, 1),
     "position beyond the numbers": (case_with("mean", 1e200, at=0), 0, 2),
@@ -44,7 +45,7 @@ SPOILT = {
 def test_only_the_victim_fails(tier, what):
     case, when, code = SPOILT[what]
     filters = make(tier)
-    run = filters.run(*case)
+    run = filters.run(case, case.knobs)
     assert list(np.flatnonzero(run.status)) == [VICTIM]
     assert run.failed_at[VICTIM] == when and (run.failed_at[OTHERS] == -1).all()
     assert run.status[VICTIM] == code
@@ -55,7 +56,7 @@ def test_only_the_victim_fails(tier, what):
     # the others: as in a run without it, by the same object (whose scratch the victim used) and
     # by a fresh one
     for again in (filters, make(tier)):
-        alone = again.run(*case.only(OTHERS))
+        alone = again.run(rest := case.only(OTHERS), rest.knobs)
         np.testing.assert_array_equal(run.mean[OTHERS], alone.mean)
         np.testing.assert_array_equal(run.nis[OTHERS], alone.nis)
 
@@ -65,15 +66,14 @@ def test_stepwise_failures_are_isolated_too(tier):
     case, _, _ = SPOILT["infinite measurement"]
     filters, status = make(tier), np.zeros(5, np.int64)
     start = Prediction(case.mean, case.factor, np.zeros_like(case.factor))
-    seen = case.s[:, WHEN], case.z[:, WHEN], case.sd[:, WHEN]
-    updated = filters.update(start, case.fading, case.process_scale, *seen, status)
+    seen = measured(case, WHEN)
+    updated = filters.update(start, case.knobs, seen, status)
     assert list(status) == [0, 0, 2, 0, 0]
     dt = np.full(5, 0.1)
-    predicted = filters.predict(updated.mean, updated.factor, case.u[:, 0], dt, status)
+    predicted = filters.predict(updated.mean, updated.factor, case.motion_inputs[:, 0], dt, status)
     assert list(status) == [0, 0, 2, 0, 0]  # the first failure stays the reason
-    sound = Prediction(*(a[OTHERS] for a in start))
-    seen, knobs = (a[OTHERS] for a in seen), (case.fading[OTHERS], case.process_scale[OTHERS])
-    alone = make(tier).update(sound, *knobs, *seen, np.zeros(4, np.int64))
+    sound = (type(part)(*(a[OTHERS] for a in part)) for part in (start, case.knobs, seen))
+    alone = make(tier).update(*sound, np.zeros(4, np.int64))
     np.testing.assert_array_equal(updated.mean[OTHERS], alone.mean)
     np.testing.assert_array_equal(updated.factor[OTHERS], alone.factor)
     assert np.isfinite(predicted.mean[OTHERS]).all()
@@ -82,17 +82,18 @@ def test_stepwise_failures_are_isolated_too(tier):
 @pytest.mark.parametrize("tier", ["srukf-classical", "ukf-classical"])
 def test_a_lost_root_says_that_the_covariance_is_not_positive_definite(tier):
     """A perfect sensor leaves a singular covariance: P - K Pzz K^T loses it to rounding."""
-    case = case_with("sd", 0.0, at=slice(None))
-    run = make(tier).run(*case)
+    case = case_with("noise", 0.0, at=slice(None))
+    run = make(tier).run(case, case.knobs)
     assert list(run.status) == [0, 0, 4, 0, 0]
     assert "no longer positive definite" in describe_failures(run.status, run.failed_at)[0]
-    alone = make(tier).run(*case.only(OTHERS))
+    alone = make(tier).run(rest := case.only(OTHERS), rest.knobs)
     np.testing.assert_array_equal(run.mean[OTHERS], alone.mean)
 
 
 @pytest.mark.parametrize("tier", ["engine", "srukf-joseph-exact", "srukf-joseph"])
 def test_the_joseph_factor_survives_a_perfect_sensor(tier):
-    assert not make(tier).run(*case_with("sd", 0.0, at=slice(None))).status.any()
+    case = case_with("noise", 0.0, at=slice(None))
+    assert not make(tier).run(case, case.knobs).status.any()
 
 
 def test_batched_roots_fail_alone():
@@ -112,5 +113,5 @@ def test_batched_roots_fail_alone():
 @pytest.mark.parametrize("tier", TIERS)
 def test_nothing_is_raised_when_every_filter_fails(tier):
     case = radar_case(batch=2, steps=5)
-    run = make(tier).run(*case._replace(z=np.full_like(case.z, np.inf)))
+    run = make(tier).run(case._replace(measurement=np.full_like(case.measurement, np.inf)))
     assert run.status.all() and (run.failed_at == 0).all()

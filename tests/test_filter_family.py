@@ -40,7 +40,7 @@ def assert_same_filter(a, b, tolerance):
 
 def histories(*designs, case=None):
     case = radar_case(batch=3, steps=200) if case is None else case
-    return [ReferenceFilter(*AIRCRAFT, design).history(*case) for design in designs]
+    return [ReferenceFilter(*AIRCRAFT, design).history(case, case.knobs) for design in designs]
 
 
 # -- linear models: everything is the Kalman filter ----------------------------------
@@ -52,16 +52,16 @@ def kalman(case, q, H):
     for b in range(len(case.mean)):
         x, P = case.mean[b], case.factor[b] @ case.factor[b].T
         for t in range(len(case.time)):
-            fading, scale = case.fading[b], case.process_scale[b]
+            fading, scale = case.knobs.fading[b], case.knobs.process_scale[b]
             dt = case.time[t] - case.time[t - 1] if t else 0.0
             F = np.kron(np.eye(3), [[1.0, dt, dt**2 / 2.0], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
             Q = np.kron(np.eye(3), q * white_jerk(dt))
             x, P = F @ x, fading * F @ P @ F.T + scale * Q
-            seen = ~np.isnan(case.z[b, t])
-            h, R = H[seen], np.diag(case.sd[b, t, seen] ** 2)
+            seen = ~np.isnan(case.measurement[b, t])
+            h, R = H[seen], np.diag(case.noise[b, t, seen] ** 2)
             S = h @ P @ h.T + R
             K = np.linalg.solve(S, h @ P).T
-            x = x + K @ (case.z[b, t, seen] - h @ x)
+            x = x + K @ (case.measurement[b, t, seen] - h @ x)
             P = P - K @ S @ K.T
             P = 0.5 * (P + P.T)
             means.append(x)
@@ -73,9 +73,10 @@ def kalman(case, q, H):
 @pytest.fixture(scope="module")
 def linear_recording():
     case = radar_case(batch=2, steps=80, seed=3)
-    z = np.random.default_rng(4).normal(size=case.z.shape) * 50.0 + case.mean[:, None, 0::3]
-    z[np.isnan(case.z)] = np.nan
-    case = case._replace(z=z, sd=np.full_like(z, 30.0))
+    missing = np.isnan(case.measurement)
+    z = np.random.default_rng(4).normal(size=missing.shape) * 50.0 + case.mean[:, None, 0::3]
+    z[missing] = np.nan
+    case = case._replace(measurement=z, noise=np.full_like(z, 30.0))
     H = np.zeros((3, 9))
     H[[0, 1, 1, 2], [0, 3, 4, 6]] = 1.0, 1.0, 0.5, 1.0
     return case, kalman(case, 2.0, H)
@@ -84,7 +85,8 @@ def linear_recording():
 @pytest.mark.parametrize("name", DESIGNS)
 def test_on_linear_models_every_design_is_the_kalman_filter(name, linear_recording):
     case, (means, covariances) = linear_recording
-    found = ReferenceFilter(constant_acceleration(2.0), position_sensor(), name).history(*case)
+    tier = ReferenceFilter(constant_acceleration(2.0), position_sensor(), name)
+    found = tier.history(case, case.knobs)
     sd = np.sqrt(np.diagonal(covariances, axis1=2, axis2=3))
     assert np.max(np.abs(found.mean - means) / sd) < 1e-9
     scale = sd[..., :, None] * sd[..., None, :]
@@ -131,8 +133,8 @@ def test_the_extended_filter_has_a_square_root_form():
 def test_cubature_is_unscented_with_kappa_zero():
     case = radar_case(batch=2, steps=50)
     for form in ("ukf-classical", "srukf-joseph-exact"):
-        cubature = ReferenceFilter(*AIRCRAFT, form.replace("ukf", "ckf")).run(*case)
-        unscented_ = ReferenceFilter(*AIRCRAFT, form, kappa=0.0).run(*case)
+        cubature = ReferenceFilter(*AIRCRAFT, form.replace("ukf", "ckf")).run(case, case.knobs)
+        unscented_ = ReferenceFilter(*AIRCRAFT, form, kappa=0.0).run(case, case.knobs)
         np.testing.assert_array_equal(cubature.mean, unscented_.mean)
 
 
@@ -142,7 +144,7 @@ def test_printed_joseph_is_another_filter_and_depends_on_the_measurement():
     assert np.max(np.abs(printed.mean - exact.mean) / deviations(exact)) > 1e-3
     assert np.max(np.abs(prior.mean - exact.mean) / deviations(exact)) > 1e-3
     case = radar_case(batch=1, steps=1, missing=0.0)
-    moved = case._replace(z=case.z + case.sd)
+    moved = case._replace(measurement=case.measurement + case.noise)
     for design, depends in (("ukf-joseph", True), ("ukf-joseph-prior", False),
                             ("ukf-joseph-exact", False), ("srukf-joseph", True)):  # fmt: skip
         here, there = (histories(design, case=c)[0].covariance for c in (case, moved))
@@ -165,7 +167,7 @@ def one_update(seed):
     measure = StateFunction(
         radar().build(batch), radar().build(dual), np.array([1, 2]), np.zeros((3, 0))
     )
-    return measure, case.mean, case.factor, case.z[:, 0], case.sd[:, 0]
+    return measure, case.mean, case.factor, case.measurement[:, 0], case.noise[:, 0]
 
 
 @given(seed=st.integers(0, 10**6), kappa=st.sampled_from([0.0, 0.3, 1.0, 3.0]))
@@ -267,11 +269,11 @@ def test_a_missing_channel_is_a_sensor_without_it(name, seed, kept):
     motion, sensor, _ = PAIRS["robot, beacon"]
     case, kept = robot_case(batch=2, steps=4, missing=0.0, seed=seed), sorted(kept)
     gone = [c for c in range(4) if c not in kept]
-    z = case.z.copy()
+    z = case.measurement.copy()
     z[:, :, gone] = np.nan
-    whole = ReferenceFilter(motion, sensor, name).history(*case._replace(z=z))
-    less = case._replace(z=case.z[:, :, kept], sd=case.sd[:, :, kept])
-    part = ReferenceFilter(motion, without(sensor, kept), name).history(*less)
+    whole = ReferenceFilter(motion, sensor, name).history(case._replace(measurement=z), case.knobs)
+    less = case._replace(measurement=case.measurement[:, :, kept], noise=case.noise[:, :, kept])
+    part = ReferenceFilter(motion, without(sensor, kept), name).history(less, less.knobs)
     np.testing.assert_array_equal(whole.status, part.status)
     np.testing.assert_allclose(whole.mean, part.mean, rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(whole.covariance, part.covariance, rtol=1e-6, atol=1e-9)
@@ -282,9 +284,10 @@ def test_a_missing_channel_is_a_sensor_without_it(name, seed, kept):
 def test_what_is_said_of_a_missing_channel_changes_no_bit(name):
     case = radar_case(batch=3, steps=100, missing=0.4)
     tier = Engine(*AIRCRAFT) if name == "engine" else ReferenceFilter(*AIRCRAFT, name)
-    lies = np.random.default_rng(0).choice([np.nan, np.inf, 0.0, 1e9], size=case.sd.shape)
-    other = tier.run(*case._replace(sd=np.where(np.isnan(case.z), lies, case.sd)))
-    np.testing.assert_array_equal(other.mean, tier.run(*case).mean)
+    lies = np.random.default_rng(0).choice([np.nan, np.inf, 0.0, 1e9], size=case.noise.shape)
+    noise = np.where(np.isnan(case.measurement), lies, case.noise)
+    other = tier.run(case._replace(noise=noise), case.knobs)
+    np.testing.assert_array_equal(other.mean, tier.run(case, case.knobs).mean)
     assert not other.status.any()
 
 
@@ -292,7 +295,7 @@ def test_what_is_said_of_a_missing_channel_changes_no_bit(name):
 def test_without_any_measurement_the_filter_only_predicts(name):
     case = radar_case(batch=2, steps=30, missing=1.0)
     tier = Engine(*AIRCRAFT) if name == "engine" else ReferenceFilter(*AIRCRAFT, name)
-    run = tier.run(*case)
+    run = tier.run(case, case.knobs)
     assert np.isnan(run.nis).all() and not run.status.any()
     np.testing.assert_array_equal(run.mean[:, 0], case.mean)
     assert np.isfinite(run.mean).all()
@@ -343,7 +346,8 @@ def test_covariance_designs_do_not_pass_their_covariance_for_a_factor():
     case = radar_case(batch=2, steps=2)
     tier = ReferenceFilter(*AIRCRAFT, "ukf-classical")
     with pytest.raises(TypeError, match="carries covariances"):
-        tier.predict(case.mean, case.factor, case.u[:, 0], np.ones(2), np.zeros(2, np.int64))
+        inputs = case.motion_inputs[:, 0]
+        tier.predict(case.mean, case.factor, inputs, np.ones(2), np.zeros(2, np.int64))
 
 
 @pytest.mark.parametrize("name", DESIGNS)
@@ -351,7 +355,7 @@ def test_every_design_pickles(name):
     case = radar_case(batch=1, steps=5)
     tier = ReferenceFilter(*AIRCRAFT, name)
     again = pickle.loads(pickle.dumps(tier))
-    np.testing.assert_array_equal(again.run(*case).mean, tier.run(*case).mean)
+    np.testing.assert_array_equal(again.run(case, case.knobs).mean, tier.run(case, case.knobs).mean)
 
 
 def test_the_linearised_ensemble_carries_the_covariance():

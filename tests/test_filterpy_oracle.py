@@ -41,8 +41,8 @@ H[[0, 1, 1, 2], [0, 3, 4, 6]] = 1.0, 1.0, 0.5, 1.0
 def case() -> Case:
     """One aircraft off the cut, knobs at one; every seventh measurement is missing."""
     case = radar_case(batch=1, steps=STEPS, missing=0.0, dt=DT, seed=5)
-    assert np.abs(case.z[:, :, 1]).max() < 3.1
-    case.z[:, 5::7] = np.nan
+    assert np.abs(case.measurement[:, :, 1]).max() < 3.1
+    case.measurement[:, 5::7] = np.nan
     return case
 
 
@@ -68,7 +68,7 @@ def process_noise(motion, x):
 
 def differences(oracle, design, models, case):
     """Largest differences of mean and covariance from the oracle's (x, P) of every time."""
-    found, worst = ReferenceFilter(*models, design).history(*case), np.zeros(2)
+    found, worst = ReferenceFilter(*models, design).history(case, case.knobs), np.zeros(2)
     for t, (x, P) in enumerate(oracle):
         sd = np.sqrt(np.diag(P))
         off = np.abs(found.mean[0, t] - x) / sd
@@ -90,8 +90,8 @@ def run(filter_, redraw, motion, case):
             filter_.Q = process_noise(motion, np.ravel(filter_.x))
             filter_.predict()
         redraw(filter_, t)
-        z = None if np.isnan(case.z[0, t]).any() else case.z[0, t]
-        filter_.update(z, R=np.diag(case.sd[0, t] ** 2))
+        z = None if np.isnan(case.measurement[0, t]).any() else case.measurement[0, t]
+        filter_.update(z, R=np.diag(case.noise[0, t] ** 2))
         yield np.ravel(filter_.x), filter_.P
 
 
@@ -139,7 +139,7 @@ def test_across_the_cut_filterpy_must_be_told_of_angles():
     south = np.array([-1e3, 120.0, 0.0, -5e3, 0.0, 0.0, 1.5e3, 0.0, 0.0])
     sd, spread = np.tile([20.0, 0.02, 0.02], (1, STEPS, 1)), np.diag([200.0, 20.0, 1.0] * 3)
     case = drawn_case(motion, radar(), south, spread, sd, DT)[1]
-    assert case.z[0, :, 1].min() < -3.0 and case.z[0, :, 1].max() > 3.0
+    assert case.measurement[0, :, 1].min() < -3.0 and case.measurement[0, :, 1].max() > 3.0
 
     def difference(a, b):
         off = np.subtract(a, b)
@@ -203,11 +203,9 @@ def test_uncentred_sums_lose_their_digits_far_from_the_origin():
     """SPEC F15: the filter does not depend on where its linear sensor stands."""
     motion, here = MOTIONS[0], linear_case()
     far = np.array([6.4e6, 0.0, 0.0] * 3)
-    there = here._replace(mean=here.mean + far, z=here.z + H @ far)
-    covariance = [
-        ReferenceFilter(motion, position_sensor(), "ckf-classical").history(*c).covariance[0]
-        for c in (here, there)
-    ]
+    there = here._replace(mean=here.mean + far, measurement=here.measurement + H @ far)
+    tier = ReferenceFilter(motion, position_sensor(), "ckf-classical")
+    covariance = [tier.history(c, c.knobs).covariance[0] for c in (here, there)]
     theirs = [P for _, P in cubature(motion, there, lambda x: H @ x)]
     sd = np.sqrt(np.diagonal(covariance[0], axis1=1, axis2=2))
     scale = sd[:, :, None] * sd[:, None, :]
@@ -228,7 +226,7 @@ def test_linear(design):
     filter_.H, filter_.R = H, 400.0 * np.eye(3)
 
     def oracle():
-        for t, z in enumerate(case.z[0]):
+        for t, z in enumerate(case.measurement[0]):
             if t > 0:
                 filter_.predict()
             filter_.update(None if np.isnan(z).any() else z)
@@ -270,14 +268,14 @@ def test_extended(design, motion, case):
     filter_.predict_x = predict_x
 
     def oracle():
-        for t, z in enumerate(case.z[0]):
+        for t, z in enumerate(case.measurement[0]):
             if t > 0:
                 x = filter_.x[:, 0]
                 filter_.F, filter_.Q = transition(motion, x), process_noise(motion, x)
                 filter_.predict()
             filter_.update(
                 None if np.isnan(z).any() else z.reshape(3, 1), radar_slopes,
-                lambda x: measure(x[:, 0]).reshape(3, 1), R=np.diag(case.sd[0, t] ** 2),
+                lambda x: measure(x[:, 0]).reshape(3, 1), R=np.diag(case.noise[0, t] ** 2),
             )  # fmt: skip
             yield filter_.x[:, 0], filter_.P
 

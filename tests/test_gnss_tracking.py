@@ -13,6 +13,7 @@ from rollouts import GNSS, draw, make
 
 from kfenv.filters.engine import Engine
 from kfenv.filters.matrices import tria
+from kfenv.filters.protocol import Knobs
 from kfenv.filters.reference import ReferenceFilter
 from kfenv.models.gnss.atmosphere import niell
 from kfenv.models.gnss.orbits import look_angles
@@ -39,17 +40,8 @@ def sampled(seeds=range(4), **keywords):
     return scenario, scenario.sample([np.random.default_rng(seed) for seed in seeds])
 
 
-def arguments(recording, fading=1.0, process_scale=1.0):
-    ones = np.ones(len(recording))
-    return (
-        recording.mean, recording.factor, recording.time, recording.motion_inputs,
-        recording.sensor_inputs, recording.measurement, recording.noise,
-        fading * ones, process_scale * ones,
-    )  # fmt: skip
-
-
 def filtered(scenario, recording):
-    run = Engine(scenario.motion, scenario.sensor).run(*arguments(recording))
+    run = Engine(scenario.motion, scenario.sensor).run(recording)
     assert not run.status.any()
     return run.mean
 
@@ -157,9 +149,9 @@ def test_engine_and_reference_agree_with_any_number_of_satellites(crowded):
     recording.measurement.flags.writeable = True
     gaps = np.random.default_rng(2).random(recording.measurement[4].shape) < 0.4
     recording.measurement[4][gaps] = np.nan  # ranges and rates by themselves
-    case = arguments(recording, 1.01, 1.3)
-    fast = Engine(scenario.motion, scenario.sensor).run(*case)
-    plain = ReferenceFilter(scenario.motion, scenario.sensor).history(*case)
+    knobs = Knobs(np.full(len(counts), 1.01), np.full(len(counts), 1.3))
+    fast = Engine(scenario.motion, scenario.sensor).run(recording, knobs)
+    plain = ReferenceFilter(scenario.motion, scenario.sensor).history(recording, knobs)
     assert not fast.status.any() and not plain.status.any()
     deviation = np.sqrt(np.diagonal(plain.covariance, axis1=2, axis2=3))
     off = np.abs(fast.mean - plain.mean)
@@ -433,7 +425,7 @@ def test_the_printed_jacobian_costs_an_order_of_magnitude():
 
     def vertical(sensor):
         tier = ReferenceFilter(scenario.motion, sensor, "srukf-joseph", kappa=0.0)
-        off = tier.history(*arguments(recording)).mean - recording.truth
+        off = tier.history(recording).mean - recording.truth
         error = (off[:, 170:, POSITION] @ rotation.T)[..., 2]
         return np.sqrt(np.mean(error**2))
 

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pairs import Case
 from scipy.spatial.transform import Rotation
 
 from kfenv.filters.engine import Engine
+from kfenv.filters.protocol import Knobs
 from kfenv.models.namespaces import batch, scalar
 from kfenv.models.navigation_fix import navigation_fix
 from kfenv.models.rotations import (
@@ -217,9 +219,8 @@ def test_the_filter_wraps_attitude():
     factor = np.diag([1.0] * 6 + [0.1] * 3)[None]
     z = np.full((1, 1, 9), np.nan)
     z[0, 0, [6, 8]] = np.radians(-179.0), np.radians(179.0)
-    nothing, ones = np.zeros((1, 1, 0)), np.ones(1)
-    run = tier.run(mean, factor, np.zeros(1), np.zeros((1, 1, 6)), nothing, z,
-                   np.full((1, 1, 9), 1e-3), ones, ones)  # fmt: skip
+    u, s, sd = np.zeros((1, 1, 6)), np.zeros((1, 1, 0)), np.full((1, 1, 9), 1e-3)
+    run = tier.run(Case(mean, factor, np.zeros(1), u, s, z, sd, Knobs.nominal(1)))
     np.testing.assert_allclose(np.degrees(run.mean[0, 0, [6, 8]]), [-179.0, 179.0], atol=1e-3)
     assert run.nis[0, 0] == pytest.approx(2.0 * np.radians(2.0) ** 2 / 0.01, rel=1e-3)
 

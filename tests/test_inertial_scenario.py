@@ -9,6 +9,7 @@ from rollouts import INERTIAL, draw, play
 from test_bad_input import complaint
 
 from kfenv.filters.engine import Engine
+from kfenv.filters.protocol import Knobs, measured
 from kfenv.filters.results import Prediction
 from kfenv.models.strapdown import GRAVITY, mechanise
 from kfenv.scenarios.faults import Draft
@@ -203,17 +204,15 @@ def test_fading_acts_once_per_fix():
     heard = play(env, np.full((99, 1), 0.3), seed=0)
     recording = draw(INERTIAL, [0], rate=100.0, **keywords)
     fading, status = 10.0**0.3, np.zeros(1, np.int64)
-    tier, one = Engine(env.scenario.motion, env.scenario.sensor), np.ones(1)
+    tier, nominal = Engine(env.scenario.motion, env.scenario.sensor), Knobs.nominal(1)
     mean, factor = recording.mean, recording.factor
     for t in range(len(recording.time)):
         prediction = Prediction(mean, factor, np.zeros_like(factor))
         if t > 0:
             dt = recording.time[t : t + 1] - recording.time[t - 1 : t]
             prediction = tier.predict(mean, factor, recording.motion_inputs[:, t], dt, status)
-        updated = tier.update(
-            prediction, one * (fading if t % 10 == 0 else 1.0), one, np.zeros((1, 0)),
-            recording.measurement[:, t], recording.noise[:, t], status,
-        )  # fmt: skip
+        knobs = nominal._replace(fading=np.array([fading])) if t % 10 == 0 else nominal
+        updated = tier.update(prediction, knobs, measured(recording, t), status)
         mean, factor = updated.mean, updated.factor
     np.testing.assert_allclose(heard[-1][4]["estimate"], mean[0], rtol=1e-9, atol=1e-9)
 

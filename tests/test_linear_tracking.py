@@ -10,6 +10,7 @@ from pairs import PAIRS, Case, position_case
 from rollouts import BISTATIC
 
 from kfenv.filters.engine import Engine
+from kfenv.filters.protocol import Knobs
 from kfenv.filters.reference import ReferenceFilter
 from kfenv.models.process_noise import white_jerk
 
@@ -27,13 +28,13 @@ R = np.diag([10.0, 8.0, 5.0])
 def case() -> Case:
     """With whole and partial gaps; the knobs at one."""
     case = position_case(batch=3)
-    return case._replace(fading=np.ones(3), process_scale=np.ones(3))
+    return case._replace(knobs=Knobs.nominal(3))
 
 
 def test_the_engine_is_the_kalman_filter(case):
     """Without a Jacobian, and from sigma points: the same means."""
-    kalman = ReferenceFilter(MOTION, SENSOR, "lkf").history(*case)
-    engine = Engine(MOTION, SENSOR).run(*case)
+    kalman = ReferenceFilter(MOTION, SENSOR, "lkf").history(case, case.knobs)
+    engine = Engine(MOTION, SENSOR).run(case, case.knobs)
     assert not kalman.status.any() and not engine.status.any()
     deviation = np.sqrt(np.diagonal(kalman.covariance, axis1=2, axis2=3))
     assert np.max(np.abs(engine.mean - kalman.mean) / deviation) < TOLERANCE
@@ -44,16 +45,16 @@ def test_the_engine_is_the_kalman_filter(case):
 def test_every_form_is_filterpys_kalman_filter(design, case):
     kalman = pytest.importorskip("filterpy.kalman").KalmanFilter(9, 3)
     kalman.F, kalman.Q, kalman.H = F, Q, H
-    found = ReferenceFilter(MOTION, SENSOR, design).history(*case)
+    found = ReferenceFilter(MOTION, SENSOR, design).history(case, case.knobs)
     for b in range(3):
         kalman.x, kalman.P = case.mean[b].reshape(9, 1), case.factor[b] @ case.factor[b].T
         for t in range(len(case.time)):
             if t > 0:
                 kalman.predict()
-            here = ~np.isnan(case.z[b, t])
+            here = ~np.isnan(case.measurement[b, t])
             if here.any():
-                R_t = np.diag(case.sd[b, t, here] ** 2)
-                kalman.update(case.z[b, t, here].reshape(-1, 1), R=R_t, H=H[here])
+                R_t = np.diag(case.noise[b, t, here] ** 2)
+                kalman.update(case.measurement[b, t, here].reshape(-1, 1), R=R_t, H=H[here])
             sd = np.sqrt(np.diag(kalman.P))
             assert np.max(np.abs(found.mean[b, t] - kalman.x[:, 0]) / sd) < TOLERANCE
             error = np.abs(found.covariance[b, t] - kalman.P) / np.outer(sd, sd)
@@ -68,11 +69,7 @@ def published():
     """Its recordings, and the Kalman filter's run over them."""
     scenario = gym.make(BISTATIC, faults="paper").unwrapped.scenario
     recording = scenario.sample(np.random.default_rng(0).spawn(RUNS))
-    ones = np.ones(RUNS)
-    return recording, ReferenceFilter(scenario.motion, scenario.sensor, "lkf").history(
-        recording.mean, recording.factor, recording.time, recording.motion_inputs,
-        recording.sensor_inputs, recording.measurement, recording.noise, ones, ones,
-    )  # fmt: skip
+    return recording, ReferenceFilter(scenario.motion, scenario.sensor, "lkf").history(recording)
 
 
 def test_the_published_case_is_drawn_as_published(published):

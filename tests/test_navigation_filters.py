@@ -34,14 +34,6 @@ def episodes(count, keywords, seed=0):
     return InsGnss(**keywords).sample(rngs)
 
 
-def arguments(recording):
-    ones = np.ones(len(recording))
-    return (
-        recording.mean, recording.factor, recording.time, recording.motion_inputs,
-        recording.sensor_inputs, recording.measurement, recording.noise, ones, ones,
-    )  # fmt: skip
-
-
 def position_rmse(recording, mean):
     """Of each run while the outliers come, m."""
     window = (recording.time >= 7.0) & (recording.time < 26.0)
@@ -64,9 +56,7 @@ def errors():
     return {
         name: position_rmse(
             recording,
-            AdaptiveFilter(scenario.motion, scenario.sensor, design).run(
-                *arguments(recording)
-            ).mean,
+            AdaptiveFilter(scenario.motion, scenario.sensor, design).run(recording).mean,
         )
         for name, design in designs.items()
     }  # fmt: skip
@@ -123,7 +113,7 @@ def test_a_name_in_a_contest_is_that_filter(name):
     recording = episodes(2, CALM)
     scores = rollout(make_agent(name), INERTIAL, CALM, recording, trace=True)
     scenario = InsGnss(**CALM)
-    found = AdaptiveFilter(scenario.motion, scenario.sensor, name).run(*arguments(recording))
+    found = AdaptiveFilter(scenario.motion, scenario.sensor, name).run(recording)
     off = (found.mean - recording.truth)[..., :3]
     np.testing.assert_allclose(scores.error, np.linalg.norm(off, axis=2).T, rtol=1e-9)
 
@@ -138,7 +128,7 @@ def test_all_eight_take_part_and_are_told_the_scenarios_mixture():
     plain = InsGnss(**COARSE)
     other = rollout(told, INERTIAL, COARSE, recording).rmse
     design = AdaptiveDesign(ADAPTIVE_DESIGNS["gsekf"].base, None, Mixture(*plain.mixture))
-    run = AdaptiveFilter(plain.motion, plain.sensor, design).run(*arguments(recording))
+    run = AdaptiveFilter(plain.motion, plain.sensor, design).run(recording)
     off = (run.mean - recording.truth)[..., :3]
     expected = np.sqrt(np.mean(np.sum(off**2, axis=2), axis=1))
     np.testing.assert_allclose(other, expected, rtol=1e-9)
@@ -161,7 +151,7 @@ def test_the_fading_rule_is_the_fading_filter_within_the_knobs_range(rule, norm)
     assert fading.max() < 10.0 and np.any(fading > 1.0)
     scenario = InsGnss(**CALM)
     design = AdaptiveDesign(ADAPTIVE_DESIGNS["ckf"].base, Fading(beta=beta, norm=norm))
-    run = AdaptiveFilter(scenario.motion, scenario.sensor, design).run(*arguments(recording))
+    run = AdaptiveFilter(scenario.motion, scenario.sensor, design).run(recording)
     error = np.linalg.norm((run.mean - recording.truth)[..., :3], axis=2).T
     decided = np.searchsorted(recording.time, scores.time)
     np.testing.assert_allclose(scores.error, error[decided], rtol=1e-9, atol=1e-9)
@@ -206,7 +196,7 @@ def test_the_outlier_weight_turns_the_odds_and_zero_is_nominal(action):
     design = AdaptiveDesign(
         ADAPTIVE_DESIGNS["gsekf"].base, None, Mixture(odds / (1.0 + odds), ratio)
     )
-    run = AdaptiveFilter(scenario.motion, scenario.sensor, design).run(*arguments(recording))
+    run = AdaptiveFilter(scenario.motion, scenario.sensor, design).run(recording)
     tolerance = 1e-12 if action == 0.0 else 1e-9
     last = np.searchsorted(recording.time, info["time"][0])
     np.testing.assert_allclose(heard[-1], run.mean[:, last], rtol=tolerance, atol=tolerance)

@@ -37,6 +37,7 @@ from kfenv.scenarios.gnss.fix import L1, fix, signals
 from kfenv.scenarios.gnss.log import MILLISECOND, PARTS, read_log
 from kfenv.scenarios.gnss.rinex import read_observations
 from kfenv.scenarios.gnss.tracking import GnssTracking
+from kfenv.scenarios.recording import Recording
 
 pytestmark = needs_rinex
 
@@ -229,13 +230,14 @@ def run(recording, density=1.0):
     arrives = np.isfinite(recording.measurement).any(axis=(0, 2))
     arrives[0] = True
     motion = with_clock(constant_acceleration(density))
-    ones = np.ones(len(recording))
-    result = ReferenceFilter(motion, pseudoranges()).run(
-        recording.mean, recording.factor, recording.time[arrives],
-        recording.motion_inputs[:, arrives], recording.sensor_inputs[:, arrives],
-        recording.measurement[:, arrives], recording.noise[:, arrives],
-        ones, ones,
-    )  # fmt: skip
+    series = ("measurement", "noise", "motion_inputs", "sensor_inputs")
+    heard = Recording(
+        recording.time[arrives],
+        **{name: getattr(recording, name)[:, arrives] for name in series},
+        mean=recording.mean,
+        factor=recording.factor,
+    )
+    result = ReferenceFilter(motion, pseudoranges()).run(heard)
     assert (result.status == 0).all()
     return east_north_up(result.mean[..., POSITION]), result
 
@@ -352,12 +354,8 @@ def test_engine_and_reference_agree_on_a_real_log():
     """Within a micrometre: ranges of 2e7 m are known to 4e-9 m each, in float64."""
     scenario = GnssTracking(rinex=(str(OBSERVED), str(BROADCAST)))
     recording = scenario.recorded("test", 3)
-    case = (
-        recording.mean, recording.factor, recording.time, recording.motion_inputs,
-        recording.sensor_inputs, recording.measurement, recording.noise, np.ones(3), np.ones(3),
-    )  # fmt: skip
-    fast = Engine(scenario.motion, scenario.sensor).run(*case)
-    plain = ReferenceFilter(scenario.motion, scenario.sensor).history(*case)
+    fast = Engine(scenario.motion, scenario.sensor).run(recording)
+    plain = ReferenceFilter(scenario.motion, scenario.sensor).history(recording)
     assert not fast.status.any() and not plain.status.any()
     deviation = np.sqrt(np.diagonal(plain.covariance, axis1=2, axis2=3))
     assert np.max(np.abs(fast.mean - plain.mean) / deviation) < 1e-8

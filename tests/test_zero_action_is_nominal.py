@@ -6,6 +6,7 @@ from rollouts import change, draw, every_environment, make, make_vec, zeros
 
 from kfenv.envs.knobs import FADING, NOISE_RANGE, PROCESS_NOISE
 from kfenv.filters.engine import Engine
+from kfenv.filters.protocol import Knobs
 
 SEEDS = range(3)
 
@@ -23,11 +24,8 @@ def nominal_run(env_id, recording, noise_scale=1.0, fading=1.0, process_scale=1.
     scenario = make(env_id).scenario
     recording = change(recording, noise=noise_scale * recording.noise)
     ones = np.ones(len(recording))
-    return Engine(scenario.motion, scenario.sensor).run(
-        recording.mean, recording.factor, recording.time, recording.motion_inputs,
-        recording.sensor_inputs, recording.measurement, recording.noise,
-        fading * ones, process_scale * ones,
-    )  # fmt: skip
+    knobs = Knobs(fading * ones, process_scale * ones)
+    return Engine(scenario.motion, scenario.sensor).run(recording, knobs)
 
 
 def estimates(env_id, action, **keywords):

@@ -40,7 +40,7 @@ class FamilyFilter(RecordingFilter):
 
     def filter(self, scenario: Any, options: Options, recording: Recording) -> History:
         """See `RecordingFilter.filter`."""
-        return _history(self._build(scenario, options), recording)
+        return self._build(scenario, options).history(recording)
 
     def _build(self, scenario: Any, options: Options) -> ReferenceFilter:
         kappa = options.kappa if DESIGNS[self.name].transform == "unscented" else None
@@ -61,15 +61,7 @@ class AdaptiveFamilyFilter(RecordingFilter):
         """See `RecordingFilter.filter`."""
         design = told_design(self.name, scenario.mixture)
         tier = AdaptiveFilter(scenario.motion, scenario.sensor, design, compiled=True)
-        return _history(tier, recording)
-
-
-def _history(tier: ReferenceFilter | AdaptiveFilter, recording: Recording) -> History:
-    ones = np.ones(len(recording))
-    return tier.history(
-        recording.mean, recording.factor, recording.time, recording.motion_inputs,
-        recording.sensor_inputs, recording.measurement, recording.noise, ones, ones,
-    )  # fmt: skip
+        return tier.history(recording)
 
 
 def _is_linear(scenario: Any, recording: Recording) -> bool:

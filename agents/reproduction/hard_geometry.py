@@ -169,12 +169,9 @@ def _tally(study: Study, outcome: Outcome) -> Tally:
 
 def _engine(study: Study) -> Tally:
     """The environments' own filter on the same recordings; it tells no covariances."""
-    r, ones = study.sample(), np.ones(study.runs)
-    run = Engine(study.scenario.motion, study.scenario.sensor).run(
-        r.mean, r.factor, r.time, r.motion_inputs, r.sensor_inputs, r.measurement, r.noise,
-        ones, ones,
-    )  # fmt: skip
-    return _count(study, (run.mean - r.truth)[:, study.kept, ::3], run.status, None)
+    recording = study.sample()
+    run = Engine(study.scenario.motion, study.scenario.sensor).run(recording)
+    return _count(study, (run.mean - recording.truth)[:, study.kept, ::3], run.status, None)
 
 
 def _count(study: Study, errors: Array, failure: NDArray[np.int64], nees: Array | None) -> Tally:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from kfenv import __version__
 from kfenv.filters.adaptive import AdaptiveDesign, AdaptiveFilter
 from kfenv.filters.matrices import cholesky, solve_lower, symmetric
+from kfenv.filters.protocol import Knobs
 from kfenv.filters.reference import ReferenceFilter
 from kfenv.filters.results import History
 from kfenv.models.model import Sensor
@@ -175,11 +176,7 @@ def filter_recording(scenario: Any, method: Method, recording: Recording) -> His
     else:
         tier = ReferenceFilter(*models, method.design, method.kappa)
     ones = np.ones(len(recording))
-    return tier.history(
-        recording.mean, recording.factor, recording.time, recording.motion_inputs,
-        recording.sensor_inputs, recording.measurement, recording.noise,
-        ones, method.process_scale * ones,
-    )  # fmt: skip
+    return tier.history(recording, Knobs(ones, method.process_scale * ones))
 
 
 def _size(study: Study, start: int) -> int:

@@ -40,7 +40,7 @@ def time_filters(scenario: Any, methods: Sequence[Method], seed: int) -> Timing:
     one = many[[0]]
     engine = Engine(scenario.motion, scenario.sensor)
     work = {m.label: partial(filter_recording, scenario, m) for m in methods}
-    work[ENGINE] = partial(_run_engine, engine)
+    work[ENGINE] = engine.run
     return Timing(_least_times(work, one), _least_times(work, many))
 
 
@@ -71,14 +71,6 @@ def _beginning(recording: Recording) -> Recording:
         mean=recording.mean,
         factor=recording.factor,
     )
-
-
-def _run_engine(engine: Engine, r: Recording) -> None:
-    ones = np.ones(len(r))
-    engine.run(
-        r.mean, r.factor, r.time, r.motion_inputs, r.sensor_inputs, r.measurement, r.noise,
-        ones, ones,
-    )  # fmt: skip
 
 
 def figure(timing: Timing, duration: float) -> Figure:

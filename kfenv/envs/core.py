@@ -15,6 +15,7 @@ from kfenv.envs import statistics
 from kfenv.envs.knobs import choose_knobs, knobs_of
 from kfenv.envs.options import ENGINE, GAUSSIAN_SUMS, Options
 from kfenv.filters.engine import Engine
+from kfenv.filters.protocol import Filter, Knobs, Measurement
 from kfenv.filters.results import Prediction, Update
 from kfenv.scenarios.recording import Recording
 
@@ -121,11 +122,7 @@ class Core:
         self._look(mask)
 
     def _errors_of_nominal(self, recording: Recording) -> Array:
-        ones = np.ones(len(recording))
-        run = self.filter.run(
-            recording.mean, recording.factor, self.time, recording.motion_inputs,
-            recording.sensor_inputs, recording.measurement, recording.noise, ones, ones,
-        )  # fmt: skip
+        run = self.filter.run(recording)
         off = (run.mean - recording.truth)[..., self._position]
         error = np.sqrt(off[..., 0] ** 2 + off[..., 1] ** 2 + off[..., 2] ** 2)
         return np.where(error < self.scenario.lost_distance, error, self.scenario.lost_distance)
@@ -184,6 +181,9 @@ class Core:
         """What an episode holds at each filter's instant, or at the last one beyond it."""
         return self._episode[name][self._rows, self._instant]
 
+    def _measurement(self, noise: Array) -> Measurement:
+        return Measurement(self._gather("sensor_inputs"), self._gather("measurement"), noise)
+
     @property
     def _instant(self) -> NDArray[np.int64]:
         return np.minimum(self.index, self._last)
@@ -192,13 +192,10 @@ class Core:
         noise = self._gather("noise") * self.factors[:, 2 + self._group]
         work = np.where(active, self.status, IDLE)
         due = self.index % self.scenario.steps_per_measurement == 0
-        fading = np.where(due, self.factors[:, 0], 1.0)
+        knobs = Knobs(np.where(due, self.factors[:, 0], 1.0), self.factors[:, 1].copy())
         outlier_odds = (self.factors[:, -1].copy(),) if self.options.mixture else ()
-        result = self.filter.update(
-            self._prediction, fading, self.factors[:, 1].copy(),
-            self._gather("sensor_inputs"), self._gather("measurement"), noise, work,
-            *outlier_odds,
-        )  # fmt: skip
+        measurement = self._measurement(noise)
+        result = self.filter.update(self._prediction, knobs, measurement, work, *outlier_odds)
         self._update = _merge(self._update, result, active)
         np.copyto(self._scored, self.index, where=active)
         np.copyto(self.status, work, where=active)
@@ -219,11 +216,8 @@ class Core:
     def _look(self, active: Mask) -> None:
         """Form the pending innovation with nominal knobs and take it into the statistics."""
         work = np.where(active, self.status, IDLE)
-        ones = np.ones(self.batch)
-        result = self.filter.innovate(
-            self._prediction, ones, ones, self._gather("sensor_inputs"),
-            self._gather("measurement"), self._gather("noise"), work,
-        )  # fmt: skip
+        knobs, measurement = Knobs.nominal(self.batch), self._measurement(self._gather("noise"))
+        result = self.filter.innovate(self._prediction, knobs, measurement, work)
         self._pending = _merge(self._pending, result, active)
         np.copyto(self.status, work, where=active)
         dt = self._dt[self._instant]
@@ -305,7 +299,7 @@ class Core:
         return tuple(names)
 
 
-def make_filter(scenario: Any, options: Options):
+def make_filter(scenario: Any, options: Options) -> Filter:
     """The engine, a Gaussian sum, or a square-root filter of the reference tier by name.
 
     Raises:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from kfenv.filters.designs import FilterDesign
 from kfenv.filters.fading import Fading
 from kfenv.filters.gaussian_sum import GaussianSum, Mixture
+from kfenv.filters.protocol import Episodes, Filter, Knobs
 from kfenv.filters.reference import ReferenceFilter
 from kfenv.filters.replay import replay
 from kfenv.filters.results import History, Run
@@ -92,7 +93,9 @@ def told_design(name: str, mixture: tuple[float, float] | None) -> AdaptiveDesig
     return replace(design, mixture=Mixture(*mixture))
 
 
-def build_tier(motion: Motion, sensor: Sensor, design: AdaptiveDesign, compiled: bool = False):
+def build_tier(
+    motion: Motion, sensor: Sensor, design: AdaptiveDesign, compiled: bool = False
+) -> Filter:
     """What predicts and updates for a design, all but its fading.
 
     Args:
@@ -132,34 +135,10 @@ class AdaptiveFilter:
         self.design = design
         self._tier = build_tier(motion, sensor, design, compiled)
 
-    def run(
-        self,
-        mean: Array,
-        factor: Array,
-        time: Array,
-        u: Array,
-        s: Array,
-        z: Array,
-        sd: Array,
-        fading: Array,
-        process_scale: Array,
-    ) -> Run:
-        """Filter whole recordings; arguments as in `ReferenceFilter.run`."""
-        case = (mean, factor, time, u, s, z, sd, fading, process_scale)
-        return Run(*replay(self._tier, self.design.fading, *case, keep=False)[:4])
+    def run(self, episodes: Episodes, knobs: Knobs | None = None) -> Run:
+        """See `Filter.run`."""
+        return Run(*replay(self._tier, self.design.fading, episodes, knobs, keep=False)[:4])
 
-    def history(
-        self,
-        mean: Array,
-        factor: Array,
-        time: Array,
-        u: Array,
-        s: Array,
-        z: Array,
-        sd: Array,
-        fading: Array,
-        process_scale: Array,
-    ) -> History:
-        """`run` that also keeps the posterior covariances; arguments as there."""
-        case = (mean, factor, time, u, s, z, sd, fading, process_scale)
-        return replay(self._tier, self.design.fading, *case)
+    def history(self, episodes: Episodes, knobs: Knobs | None = None) -> History:
+        """`run` that also keeps the posterior covariances."""
+        return replay(self._tier, self.design.fading, episodes, knobs)

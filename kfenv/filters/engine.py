@@ -14,12 +14,15 @@ from numba import njit
 from numpy.typing import NDArray
 
 from kfenv.filters.fingerprint import fingerprint
+from kfenv.filters.protocol import Episodes, Knobs, Measurement
 from kfenv.filters.results import Prediction, Run, Update
 from kfenv.models.model import Motion, Sensor
 from kfenv.models.namespaces import compiled, lanes
 from kfenv.models.namespaces.lanes import LANES
 
 Array = NDArray[np.float64]
+Status = NDArray[np.int64]
+CYCLE, KERNEL = (Path(__file__).with_name(name) for name in ("cycle.py", "kernel.py"))
 
 
 class Scratch(NamedTuple):
@@ -54,12 +57,7 @@ class Scratch(NamedTuple):
 
 
 class Engine:
-    """A batch of filters for one motion and one sensor.
-
-    All arrays are float64 and batch first: means (B, n), lower factors (B, n, n),
-    measurements (B, m) with NaN where nothing arrived. A filter that fails sets its
-    entry of ``status`` (see `kfenv.filters.results.FAILURES`), its outputs are then
-    meaningless, and the others do not notice.
+    """The compiled `kfenv.filters.protocol.Filter`.
 
     Args:
         motion, sensor: the models.
@@ -86,98 +84,58 @@ class Engine:
         return Engine, (self.motion, self.sensor, self.kappa)
 
     def predict(
-        self, mean: Array, factor: Array, u: Array, dt: Array, status: NDArray[np.int64]
+        self, mean: Array, factor: Array, inputs: Array, dt: Array, status: Status
     ) -> Prediction:
-        """Time update over dt (B,) with known inputs u (B, p)."""
+        """See `Filter.predict`."""
         result = Prediction(np.empty(mean.shape), *np.empty((2, *factor.shape)))
-        mean, factor, u = _writeable(mean, factor, u)
+        mean, factor, inputs = _writeable(mean, factor, inputs)
         self._kernel.predict(
-            mean, _rows(factor), u, dt[:, None], self._scratch,
+            mean, _rows(factor), inputs, dt[:, None], self._scratch,
             result.mean, _rows(result.root), _rows(result.noise), status,
         )  # fmt: skip
         return result
 
     def innovate(
-        self,
-        prediction: Prediction,
-        fading: Array,
-        process_scale: Array,
-        s: Array,
-        z: Array,
-        sd: Array,
-        status: NDArray[np.int64],
+        self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status
     ) -> Update:
-        """Form the innovation and stop there: mean and factor are the predicted ones.
-
-        The predicted covariance is fading root root^T + process_scale noise noise^T.
-
-        Args:
-            fading, process_scale: knobs, (B,), variance factors.
-            s: known inputs of the sensor, (B, k).
-            z: measurement (B, m), NaN where nothing arrived.
-            sd: standard deviation of its noise, (B, m).
-        """
-        return self._update(prediction, fading, process_scale, s, z, sd, status, correct=False)
+        """See `Filter.innovate`."""
+        return self._update(prediction, knobs, measurement, status, correct=False)
 
     def update(
-        self,
-        prediction: Prediction,
-        fading: Array,
-        process_scale: Array,
-        s: Array,
-        z: Array,
-        sd: Array,
-        status: NDArray[np.int64],
+        self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status
     ) -> Update:
-        """Measurement update; arguments as in `innovate`."""
-        return self._update(prediction, fading, process_scale, s, z, sd, status, correct=True)
+        """See `Filter.update`."""
+        return self._update(prediction, knobs, measurement, status, correct=True)
 
-    def _update(self, prediction, fading, process_scale, s, z, sd, status, correct) -> Update:
+    def _update(self, prediction, knobs, measurement, status, correct) -> Update:
+        shape = measurement.value.shape
         result = Update(
             np.empty(prediction.mean.shape),
             np.empty(prediction.root.shape),
-            *np.empty((3, *z.shape)),
-            *np.empty((2, len(z))),
+            *np.empty((3, *shape)),
+            *np.empty((2, shape[0])),
         )
-        s, z, sd = _writeable(s, z, sd)
         self._kernel.update(
             prediction.mean, _rows(prediction.root), _rows(prediction.noise),
-            _roots(fading, process_scale), s, z, sd, self._scratch, correct,
+            _roots(knobs), *_writeable(*measurement), self._scratch, correct,
             result.mean, _rows(result.factor), *result[2:], status,
         )  # fmt: skip
         return result
 
-    def run(
-        self,
-        mean: Array,
-        factor: Array,
-        time: Array,
-        u: Array,
-        s: Array,
-        z: Array,
-        sd: Array,
-        fading: Array,
-        process_scale: Array,
-    ) -> Run:
-        """Filter whole recordings, with no Python per step.
-
-        Args:
-            mean, factor: initial state at the first time, (B, n) and (B, n, n).
-            time: (T,).
-            u, s: known inputs of the motion (B, T, p) and of the sensor (B, T, k).
-            z, sd: measurements and noise deviations, (B, T, m).
-            fading, process_scale: constant knobs, (B,).
-        """
-        batch, steps = z.shape[:2]
+    def run(self, episodes: Episodes, knobs: Knobs | None = None) -> Run:
+        """See `Filter.run`; no Python per step."""
+        batch, steps = episodes.measurement.shape[:2]
         result = Run(
             np.full((batch, steps, self._n), np.nan), np.full((batch, steps), np.nan),
             np.zeros(batch, np.int64), np.full(batch, -1),
         )  # fmt: skip
-        scales = _roots(fading, process_scale)
-        mean, factor, u, s, z, sd = _writeable(mean, factor, u, s, z, sd)
+        mean, factor, *series = _writeable(
+            episodes.mean, episodes.factor, episodes.motion_inputs, episodes.sensor_inputs,
+            episodes.measurement, episodes.noise,
+        )  # fmt: skip
         self._kernel.run(
-            mean, _rows(factor), np.diff(time, prepend=time[:1]), u, s, z, sd, scales,
-            self._scratch, *result,
+            mean, _rows(factor), np.diff(episodes.time, prepend=episodes.time[:1]), *series,
+            _roots(knobs or Knobs.nominal(batch)), self._scratch, *result,
         )  # fmt: skip
         return result
 
@@ -193,11 +151,11 @@ def _scratch_sizes(n: int, m: int, p: int, k: int) -> Scratch:
     )  # fmt: skip
 
 
-def _roots(fading: Array, process_scale: Array) -> Array:
+def _roots(knobs: Knobs) -> Array:
     """Square roots of the two covariance factors, (B, 2)."""
-    scales = np.empty((len(fading), 2))
-    np.sqrt(fading, out=scales[:, 0])
-    np.sqrt(process_scale, out=scales[:, 1])
+    scales = np.empty((len(knobs.fading), 2))
+    np.sqrt(knobs.fading, out=scales[:, 0])
+    np.sqrt(knobs.process_scale, out=scales[:, 1])
     return scales
 
 
@@ -213,8 +171,7 @@ def _rows(matrices: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _kernel(motion: Motion, sensor: Sensor, kappa: float) -> ModuleType:
-    """The kernel template bound to a pair of models."""
-    path = Path(__file__).with_name("kernel.py")
+    """The kernel's two templates bound to a pair of models."""
     n, m = len(motion.states), len(sensor.channels)
     constants = {
         "N": n,
@@ -230,10 +187,12 @@ def _kernel(motion: Motion, sensor: Sensor, kappa: float) -> ModuleType:
         "CHANNEL_IS_ANGLE": tuple(channel.angle for channel in sensor.channels),
         "NOISE_PATTERN": motion.noise_pattern,
     }
-    arithmetic = [Path(part.__file__).read_text() for part in (compiled, lanes)]
+    # Numba asks the kernel's file alone whether it changed, so the cycle's is part of the name.
+    parts = [Path(part) for part in (compiled.__file__, lanes.__file__, CYCLE)]
+    arithmetic = [part.read_text() for part in parts]
     identity = fingerprint(motion.build, sensor.build, sorted(constants.items()), arithmetic)
     module = ModuleType(f"{__package__}.kernel_{identity}")
-    module.__file__ = str(path)
+    module.__file__ = str(KERNEL)
     functions = motion.build(compiled)
     module.__dict__.update(
         constants,
@@ -244,7 +203,8 @@ def _kernel(motion: Motion, sensor: Sensor, kappa: float) -> ModuleType:
         **_accessors(n, m, len(motion.inputs), len(sensor.inputs)),
     )
     sys.modules[module.__name__] = module  # where the cache looks for the functions it restores
-    exec(compile(path.read_text(), str(path), "exec"), module.__dict__)
+    for template in (CYCLE, KERNEL):
+        exec(compile(template.read_text(), str(template), "exec"), module.__dict__)
     return module
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from kfenv.checks import is_number
 from kfenv.filters.matrices import tria
+from kfenv.filters.protocol import Episodes, Filter, Knobs, Measurement
 from kfenv.filters.replay import replay
 from kfenv.filters.results import BAD_UPDATE, Prediction, Run, Update, blame
 from kfenv.filters.transforms import angle_indices, wrap
@@ -80,63 +81,52 @@ class GaussianSum:
     """A filter that holds every measurement for nominal or an outlier, by its likelihood.
 
     Both branches are the base filter's update of the same prediction, with noise R and
-    with ratio R; they collapse before the next step. The interface is the base's.
+    with ratio R; they collapse before the next step. It is itself a `Filter`.
 
     Args:
         base: `Engine`, or a `ReferenceFilter` in square-root form.
         mixture: the noise.
     """
 
-    def __init__(self, base, mixture: Mixture = Mixture()) -> None:
+    def __init__(self, base: Filter, mixture: Mixture = Mixture()) -> None:
         self.motion, self.sensor = base.motion, base.sensor
         self.base, self.mixture = base, mixture
         self._angles = angle_indices(self.motion.states)
 
     def predict(
-        self, mean: Array, factor: Array, u: Array, dt: Array, status: Status
+        self, mean: Array, factor: Array, inputs: Array, dt: Array, status: Status
     ) -> Prediction:
-        """Time update, the base's."""
-        return self.base.predict(mean, factor, u, dt, status)
+        """See `Filter.predict`: the base's."""
+        return self.base.predict(mean, factor, inputs, dt, status)
 
     def innovate(
-        self,
-        prediction: Prediction,
-        fading: Array,
-        process_scale: Array,
-        s: Array,
-        z: Array,
-        sd: Array,
-        status: Status,
+        self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status
     ) -> Update:
-        """The base's innovation under the nominal noise; arguments as there."""
-        return self.base.innovate(prediction, fading, process_scale, s, z, sd, status)
+        """See `Filter.innovate`: the base's, under the nominal noise."""
+        return self.base.innovate(prediction, knobs, measurement, status)
 
     def update(
         self,
         prediction: Prediction,
-        fading: Array,
-        process_scale: Array,
-        s: Array,
-        z: Array,
-        sd: Array,
+        knobs: Knobs,
+        measurement: Measurement,
         status: Status,
         outlier_odds: Array | None = None,
     ) -> Update:
-        """Measurement update; arguments as in the base's `innovate`.
+        """See `Filter.update`.
 
         Innovation, variance and NIS are the nominal branch's, the log-likelihood the sum's.
 
         Args:
             outlier_odds: factor (B,) on the prior odds of an outlier, weight / (1 - weight).
         """
-        arguments = (prediction, fading, process_scale, s, z)
-        nominal = self.base.update(*arguments, sd, status)
-        arrived = ~np.isnan(z).all(axis=1)
+        nominal = self.base.update(prediction, knobs, measurement, status)
+        arrived = ~np.isnan(measurement.value).all(axis=1)
         if not arrived.any():
             return nominal
-        outlier = self.base.update(*arguments, sqrt(self.mixture.ratio) * sd, status)
+        outlier = self.base.update(prediction, knobs, self._as_outlier(measurement), status)
         with np.errstate(all="ignore"):  # what fails is told by the status
-            log_prior = self._log_prior(outlier_odds, len(sd))
+            log_prior = self._log_prior(outlier_odds, len(arrived))
             log_likelihood = np.stack([nominal.log_likelihood, outlier.log_likelihood])
             weights = np.exp(posterior_log_weights(log_prior, log_likelihood))
             mean, factor = collapse(
@@ -152,40 +142,23 @@ class GaussianSum:
             log_likelihood=np.where(arrived, total, 0.0),
         )
 
-    def run(
-        self,
-        mean: Array,
-        factor: Array,
-        time: Array,
-        u: Array,
-        s: Array,
-        z: Array,
-        sd: Array,
-        fading: Array,
-        process_scale: Array,
-    ) -> Run:
-        """Filter whole recordings; arguments as in the base's `run`."""
-        case = (mean, factor, time, u, s, z, sd, fading, process_scale)
-        return Run(*replay(self, None, *case, keep=False)[:4])
+    def run(self, episodes: Episodes, knobs: Knobs | None = None) -> Run:
+        """See `Filter.run`."""
+        return Run(*replay(self, None, episodes, knobs, keep=False)[:4])
 
     def nominal_probability(
-        self,
-        prediction: Prediction,
-        fading: Array,
-        process_scale: Array,
-        s: Array,
-        z: Array,
-        sd: Array,
-        status: Status,
+        self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status
     ) -> tuple[Update, Array]:
         """The nominal innovation and the posterior weight (B,) of its branch."""
-        arguments = (prediction, fading, process_scale, s, z)
-        nominal = self.base.innovate(*arguments, sd, status)
-        outlier = self.base.innovate(*arguments, sqrt(self.mixture.ratio) * sd, status)
+        nominal = self.base.innovate(prediction, knobs, measurement, status)
+        outlier = self.base.innovate(prediction, knobs, self._as_outlier(measurement), status)
         log_likelihood = np.stack([nominal.log_likelihood, outlier.log_likelihood])
         with np.errstate(all="ignore"):
-            log_prior = self._log_prior(None, len(sd))
+            log_prior = self._log_prior(None, len(status))
             return nominal, np.exp(posterior_log_weights(log_prior, log_likelihood)[0])
+
+    def _as_outlier(self, measurement: Measurement) -> Measurement:
+        return measurement._replace(noise=sqrt(self.mixture.ratio) * measurement.noise)
 
     def _log_prior(self, outlier_odds: Array | None, batch: int) -> Array:
         """log (pi_1, pi_2) of every filter, (2, B)."""

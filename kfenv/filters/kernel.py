@@ -1,17 +1,8 @@
 # ruff: noqa: F821
-"""The fused kernel: one square-root sigma-point filter cycle (SPEC section 9).
+"""The fused kernel: batches of filters through the cycle, eight at a time (SPEC section 9).
 
-This file is a template. `kfenv.filters.engine` executes it once per pair of motion
-and sensor, after binding the names in capitals, the model's functions, the component
-accessors and the decorator ``entry_point`` as globals; bound so, and not through
-closures, Numba finds its cache again in the next process.
-
-Eight filters run side by side, one per lane of a vector. Scratch matrices are arrays
-(rows * columns, 8); ``load`` and ``store`` take a flat index. No lane sees another, so
-a filter's bits do not depend on its neighbours. ``w`` is the engine's `Scratch`; its
-arrays are overwritten from one step to the next. A missing channel keeps its row with
-zero slope, unit noise and zero innovation, and since the noise stands first in the
-rows that are triangularised, it changes no bit of the others.
+This file is the second of two templates; see ``cycle.py``, whose functions it calls. Its
+entry points are what the engine calls and what Numba keeps on disk.
 """
 
 import sys
@@ -19,224 +10,11 @@ from math import isnan, log, nan
 
 from numba import njit
 
-from kfenv.models.namespaces.compiled import FLOATING_POINT, TWO_PI, wrap
-from kfenv.models.namespaces.lanes import LANES, lift, load, spread, sqrt, store, where_greater
+from kfenv.models.namespaces.compiled import FLOATING_POINT, TWO_PI
+from kfenv.models.namespaces.lanes import LANES, load, spread, store
 
 LARGEST = sys.float_info.max
 OK, BAD_PREDICTION, BAD_INNOVATION, BAD_UPDATE = 0, 1, 2, 3
-
-
-@njit(forceinline=True, **FLOATING_POINT)
-def _plain(number):
-    """The number as a variable: Numba compiles a function anew for every literal argument."""
-    return number + 0
-
-
-@njit(**FLOATING_POINT)
-def _triangularise(A, L, rows, width):
-    """L := lower factor with L L^T = A A^T, diagonal >= 0; destroys A (Householder)."""
-    for i in range(rows):
-        squared = spread(0.0)
-        for j in range(i, width):
-            value = load(A, i * width + j)
-            squared = squared + value * value
-        norm = sqrt(squared)
-        pivot = load(A, i * width + i)
-        sign = where_greater(0.0, pivot, -1.0, 1.0)
-        head = pivot + sign * norm
-        scale = norm * (norm + abs(pivot))
-        scale = where_greater(scale, 0.0, 1.0 / scale, 0.0)
-        store(A, i * width + i, head)
-        store(L, i * rows + i, norm)
-        for k in range(i + 1, rows):
-            projection = spread(0.0)
-            for j in range(i, width):
-                projection = projection + load(A, k * width + j) * load(A, i * width + j)
-            projection = projection * scale
-            for j in range(i, width):
-                value = load(A, k * width + j) - projection * load(A, i * width + j)
-                store(A, k * width + j, value)
-            store(L, k * rows + i, -sign * load(A, k * width + i))
-
-
-@njit(**FLOATING_POINT)
-def _add_noise(root, root_scale, noise, noise_scale, L, A):
-    """L := lower factor of root_scale^2 root root^T + noise_scale^2 noise noise^T.
-
-    Both are lower triangular, so a reflection touches one column of the root.
-    """
-    for i in range(N):
-        for j in range(i + 1):
-            store(L, i * N + j, root_scale * load(root, i * N + j))
-            store(A, i * N + j, noise_scale * load(noise, i * N + j))
-    for i in range(N):
-        pivot = load(L, i * N + i)
-        squared = pivot * pivot
-        for j in range(i + 1):
-            value = load(A, i * N + j)
-            squared = squared + value * value
-        norm = sqrt(squared)
-        sign = where_greater(0.0, pivot, -1.0, 1.0)
-        head = pivot + sign * norm
-        scale = norm * (norm + abs(pivot))
-        scale = where_greater(scale, 0.0, 1.0 / scale, 0.0)
-        store(L, i * N + i, norm)
-        for k in range(i + 1, N):
-            projection = load(L, k * N + i) * head
-            for j in range(i + 1):
-                projection = projection + load(A, k * N + j) * load(A, i * N + j)
-            projection = projection * scale
-            for j in range(i + 1):
-                value = load(A, k * N + j) - projection * load(A, i * N + j)
-                store(A, k * N + j, value)
-            store(L, k * N + i, -sign * (load(L, k * N + i) - projection * head))
-
-
-@njit(**FLOATING_POINT)
-def _draw(mean, factor, X):
-    """Sigma points mean, mean +- sqrt(n + kappa) factor[:, i] along the rows of X."""
-    for i in range(N):
-        centre = load(mean, i)
-        store(X, i * P, centre)
-        for j in range(N):
-            if j <= i:
-                offset = SPREAD * load(factor, i * N + j)
-                store(X, i * P + 1 + j, centre + offset)
-                store(X, i * P + 1 + N + j, centre - offset)
-            else:
-                store(X, i * P + 1 + j, centre)
-                store(X, i * P + 1 + N + j, centre)
-
-
-@njit(**FLOATING_POINT)
-def _mean_offset(X, row, is_angle):
-    """Turn a row of points into offsets from the central one; return their weighted mean."""
-    centre = load(X, row)
-    total = spread(0.0)
-    for j in range(P):
-        deviation = load(X, row + j) - centre
-        if is_angle:
-            deviation = wrap(deviation)
-        store(X, row + j, deviation)
-        total = total + deviation
-    return WEIGHT * total  # the central offset is zero, whatever its weight
-
-
-@njit(**FLOATING_POINT)
-def _predict_lanes(mean, factor, u, dt, new_mean, root, noise, X):
-    """Propagate; root and noise are the two parts of the predicted factor."""
-    inputs = input_components(u)
-    _draw(mean, factor, X)
-    entries = noise_factor(state_components(X, _plain(0)), inputs, dt)
-    for k in range(N * N):
-        store(noise, k, spread(0.0))
-    for k in range(len(NOISE_PATTERN)):
-        store(noise, NOISE_PATTERN[k][0] * N + NOISE_PATTERN[k][1], lift(entries[k]))
-    for j in range(P):
-        store_state(X, j, step(state_components(X, j), inputs, dt))
-    for i in range(N):
-        row = i * P
-        centre = load(X, row)
-        offset = _mean_offset(X, row, STATE_IS_ANGLE[i])
-        value = centre + offset
-        if STATE_IS_ANGLE[i]:
-            value = wrap(value)
-        store(new_mean, i, value)
-        store(X, row, -ROOT_CENTRE_WEIGHT * offset)
-        for j in range(1, P):
-            store(X, row + j, ROOT_WEIGHT * (load(X, row + j) - offset))
-    _triangularise(X, root, _plain(N), _plain(P))
-
-
-@njit(**FLOATING_POINT)
-def _innovate_lanes(w):
-    """Innovation, its variance and whitened form; fills U, Re and C (SPEC section 9)."""
-    inputs = sensor_components(w.s)
-    _draw(w.predicted, w.L, w.X)
-    for j in range(P):
-        store_channels(w.Z, j, measure(state_components(w.X, j), inputs))
-    width = M + N + 1
-    for c in range(M):
-        row, here = c * P, load(w.arrived, c)
-        centre = load(w.Z, row)
-        offset = _mean_offset(w.Z, row, CHANNEL_IS_ANGLE[c])
-        nu = load(w.z, c) - centre - offset
-        if CHANNEL_IS_ANGLE[c]:
-            nu = wrap(nu)
-        store(w.innovation, c, where_greater(here, 0.5, nu, 0.0))
-        for j in range(M):
-            store(w.A, c * width + j, spread(0.0))
-        store(w.A, c * width + c, load(w.sd, c))
-        for j in range(N):
-            plus, minus = load(w.Z, row + 1 + j), load(w.Z, row + 1 + N + j)
-            slope, bend = ODD * (plus - minus), EVEN * (plus + minus - 2.0 * offset)
-            store(w.U, c * N + j, where_greater(here, 0.5, slope, 0.0))
-            store(w.A, c * width + M + j, where_greater(here, 0.5, bend, 0.0))
-        centred = where_greater(here, 0.5, -ROOT_CENTRE_WEIGHT * offset, 0.0)
-        store(w.A, c * width + M + N, centred)
-    _triangularise(w.A, w.Re, _plain(M), width)
-    width = M + N
-    for c in range(M):
-        for q in range(M):
-            store(w.A, c * width + q, load(w.Re, c * M + q) if q <= c else spread(0.0))
-        for j in range(N):
-            store(w.A, c * width + M + j, load(w.U, c * N + j))
-    _triangularise(w.A, w.C, _plain(M), width)
-    for c in range(M):
-        residual = load(w.innovation, c)
-        diagonal = load(w.C, c * M + c)
-        total = diagonal * diagonal
-        for q in range(c):
-            entry = load(w.C, c * M + q)
-            residual = residual - entry * load(w.whitened, q)
-            total = total + entry * entry
-        store(w.whitened, c, residual / diagonal)
-        store(w.variance, c, total)
-
-
-@njit(**FLOATING_POINT)
-def _correct_lanes(w):
-    """K = S U^T C^-T C^-1 and S+ = tria[S - K U, K Re]; K is held one row a channel."""
-    count = load(w.count, 0)
-    for c in range(M):
-        inverse = 1.0 / load(w.C, c * M + c)
-        for i in range(N):
-            value = spread(0.0)
-            for k in range(i + 1):
-                value = value + load(w.L, i * N + k) * load(w.U, c * N + k)
-            for q in range(c):
-                value = value - load(w.C, c * M + q) * load(w.K, q * N + i)
-            store(w.K, c * N + i, value * inverse)
-    for c in range(M - 1, -1, -1):
-        inverse = 1.0 / load(w.C, c * M + c)
-        for i in range(N):
-            value = load(w.K, c * N + i)
-            for q in range(c + 1, M):
-                value = value - load(w.C, q * M + c) * load(w.K, q * N + i)
-            store(w.K, c * N + i, value * inverse)
-    width = N + M
-    for i in range(N):
-        value = load(w.predicted, i)
-        for j in range(N):
-            entry = load(w.L, i * N + j) if j <= i else spread(0.0)
-            for c in range(M):
-                entry = entry - load(w.K, c * N + i) * load(w.U, c * N + j)
-            store(w.A, i * width + j, entry)
-        for q in range(M):
-            entry = spread(0.0)
-            for c in range(q, M):
-                entry = entry + load(w.K, c * N + i) * load(w.Re, c * M + q)
-            store(w.A, i * width + N + q, entry)
-        for c in range(M):
-            value = value + load(w.K, c * N + i) * load(w.innovation, c)
-        if STATE_IS_ANGLE[i]:
-            value = wrap(value)
-        store(w.posterior, i, where_greater(count, 0.5, value, load(w.predicted, i)))
-    _triangularise(w.A, w.S, _plain(N), width)
-    for i in range(N):
-        for j in range(i + 1):
-            k = i * N + j
-            store(w.S, k, where_greater(count, 0.5, load(w.S, k), load(w.L, k)))
 
 
 @njit(**FLOATING_POINT)
@@ -246,15 +24,6 @@ def _anything_arrived(count):
         if count[0, lane] > 0.5:
             return True
     return False
-
-
-@njit(**FLOATING_POINT)
-def _keep_lanes(w):
-    """Where no lane has a measurement: what `_correct_lanes` gives then, for nothing."""
-    for i in range(N):
-        store(w.posterior, i, load(w.predicted, i))
-        for j in range(i + 1):
-            store(w.S, i * N + j, load(w.L, i * N + j))
 
 
 @njit(**FLOATING_POINT)

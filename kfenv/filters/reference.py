@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from kfenv.filters import covariance, square_root
 from kfenv.filters.designs import FilterDesign, find_design
 from kfenv.filters.matrices import cholesky, solve_lower, transpose
+from kfenv.filters.protocol import Episodes, Knobs, Measurement, measured
 from kfenv.filters.results import (
     BAD_INNOVATION,
     BAD_PREDICTION,
@@ -32,11 +33,10 @@ Status = NDArray[np.int64]
 
 
 class ReferenceFilter:
-    """A batch of filters of one design, with the interface of `kfenv.filters.engine.Engine`.
+    """A `kfenv.filters.protocol.Filter` of one design.
 
-    The methods, shapes and failure statuses are the engine's. `run` and `history`
-    serve every design; `predict`, `innovate` and `update` hand lower factors in and
-    out and so serve the square-root designs.
+    `run` and `history` serve every design; `predict`, `innovate` and `update` hand lower
+    factors in and out and so serve the square-root designs.
 
     Args:
         motion, sensor: the models.
@@ -69,94 +69,47 @@ class ReferenceFilter:
         return ReferenceFilter, (self.motion, self.sensor, self.design)
 
     def predict(
-        self, mean: Array, factor: Array, u: Array, dt: Array, status: Status
+        self, mean: Array, factor: Array, inputs: Array, dt: Array, status: Status
     ) -> Prediction:
-        """Time update over dt (B,) with known inputs u (B, p).
+        """See `Filter.predict`.
 
         Raises:
             TypeError: if the design carries covariances.
         """
         self._require_factors()
-        return self._predict(mean, factor, u, dt, status)
+        return self._predict(mean, factor, inputs, dt, status)
 
     def innovate(
-        self,
-        prediction: Prediction,
-        fading: Array,
-        process_scale: Array,
-        s: Array,
-        z: Array,
-        sd: Array,
-        status: Status,
+        self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status
     ) -> Update:
-        """Form the innovation and stop there: mean and factor are the predicted ones.
-
-        The predicted covariance is fading root root^T + process_scale noise noise^T.
-
-        Args:
-            fading, process_scale: knobs, (B,), variance factors.
-            s: known inputs of the sensor, (B, k).
-            z: measurement (B, m), NaN where nothing arrived.
-            sd: standard deviation of its noise, (B, m).
+        """See `Filter.innovate`.
 
         Raises:
             TypeError: if the design carries covariances.
         """
         self._require_factors()
-        return self._update(prediction, fading, process_scale, s, z, sd, status, correct=False)
+        return self._update(prediction, knobs, measurement, status, correct=False)
 
     def update(
-        self,
-        prediction: Prediction,
-        fading: Array,
-        process_scale: Array,
-        s: Array,
-        z: Array,
-        sd: Array,
-        status: Status,
+        self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status
     ) -> Update:
-        """Measurement update; arguments as in `innovate`."""
-        self._require_factors()
-        return self._update(prediction, fading, process_scale, s, z, sd, status, correct=True)
+        """See `Filter.update`.
 
-    def run(
-        self,
-        mean: Array,
-        factor: Array,
-        time: Array,
-        u: Array,
-        s: Array,
-        z: Array,
-        sd: Array,
-        fading: Array,
-        process_scale: Array,
-    ) -> Run:
-        """Filter whole recordings; at the first time there is no prediction.
-
-        Args:
-            mean, factor: initial state at the first time, (B, n) and lower (B, n, n).
-            time: (T,).
-            u, s: known inputs of the motion (B, T, p) and of the sensor (B, T, k).
-            z, sd: measurements and noise deviations, (B, T, m).
-            fading, process_scale: constant knobs, (B,).
+        Raises:
+            TypeError: if the design carries covariances.
         """
-        return self._filter(mean, factor, time, u, s, z, sd, fading, process_scale, None)
+        self._require_factors()
+        return self._update(prediction, knobs, measurement, status, correct=True)
 
-    def history(
-        self,
-        mean: Array,
-        factor: Array,
-        time: Array,
-        u: Array,
-        s: Array,
-        z: Array,
-        sd: Array,
-        fading: Array,
-        process_scale: Array,
-    ) -> History:
-        """`run` that also keeps the posterior covariances; arguments as there."""
-        spreads = np.full((*z.shape[:2], *factor.shape[1:]), np.nan)
-        run = self._filter(mean, factor, time, u, s, z, sd, fading, process_scale, spreads)
+    def run(self, episodes: Episodes, knobs: Knobs | None = None) -> Run:
+        """See `Filter.run`."""
+        return self._filter(episodes, knobs, None)
+
+    def history(self, episodes: Episodes, knobs: Knobs | None = None) -> History:
+        """`run` that also keeps the posterior covariances."""
+        shape = *episodes.measurement.shape[:2], *episodes.factor.shape[1:]
+        spreads = np.full(shape, np.nan)
+        run = self._filter(episodes, knobs, spreads)
         if self.design.form == "square-root":
             with np.errstate(over="ignore"):  # of a filter that has long diverged
                 return History(*run, spreads @ transpose(spreads), spreads)
@@ -169,30 +122,31 @@ class ReferenceFilter:
                 "Use run() or history(), or a square-root design."
             )
 
-    def _predict(self, mean, spread, u, dt, status) -> Prediction:
+    def _predict(self, mean, spread, inputs, dt, status) -> Prediction:
         """`predict` for either form; spread is what the form carries."""
-        step = StateFunction(self._plain.step, self._dual.step, self._state_angles, u, dt)
+        step = StateFunction(self._plain.step, self._dual.step, self._state_angles, inputs, dt)
         noise = np.zeros((len(mean), len(self.motion.states), len(self.motion.states)))
         with np.errstate(all="ignore"):  # what fails is told by the status
             new_mean, root = self._form.propagate(step, mean, spread, self.design)
-            entries = self._plain.noise_factor(tuple(mean.T), tuple(u.T), dt)
+            entries = self._plain.noise_factor(tuple(mean.T), tuple(inputs.T), dt)
         for (row, column), entry in zip(self.motion.noise_pattern, entries, strict=True):
             noise[:, row, column] = entry
         self._blame_covariance(spread, new_mean, status)
         blame(status, BAD_PREDICTION, new_mean, root)
         return Prediction(new_mean, root, noise)
 
-    def _update(self, prediction, fading, process_scale, s, z, sd, status, correct) -> Update:
+    def _update(self, prediction, knobs, measurement, status, correct) -> Update:
         """`update` for either form; the factor of the result is what the form carries."""
-        present = ~np.isnan(z)
-        measure = StateFunction(*self._measure, self._channel_angles, s, present=present)
-        known, noise = np.where(present, z, 0.0), np.where(present, sd, 1.0)
+        inputs, value, noise = measurement
+        present = ~np.isnan(value)
+        measure = StateFunction(*self._measure, self._channel_angles, inputs, present=present)
+        known, noise = np.where(present, value, 0.0), np.where(present, noise, 1.0)
         arrived = present.any(axis=1)
         with np.errstate(all="ignore"):
-            spread = self._form.add_noise(*prediction[1:], fading, process_scale)
+            spread = self._form.add_noise(*prediction[1:], *knobs)
         if self._form is square_root and not arrived.any():  # nothing to work out
             blame(status, NOT_POSITIVE_DEFINITE, spread)
-            return Update(prediction.mean.copy(), spread, *_nothing(z))
+            return Update(prediction.mean.copy(), spread, *_nothing(value))
         with np.errstate(all="ignore"):
             found = self._form.correct(measure, prediction.mean, spread, known, noise, self.design)
             told = _tell(found, present)
@@ -205,26 +159,23 @@ class ReferenceFilter:
         blame(status, NOT_POSITIVE_DEFINITE, spread)
         return Update(mean, spread, *told)
 
-    def _filter(
-        self, mean, factor, time, u, s, z, sd, fading, process_scale, spreads: Array | None
-    ) -> Run:
-        """Filter recordings; fills spreads (B, T, n, n) if they are wanted."""
-        batch_size, steps = z.shape[:2]
+    def _filter(self, episodes: Episodes, knobs: Knobs | None, spreads: Array | None) -> Run:
+        """Filter episodes; fills spreads (B, T, n, n) if they are wanted."""
+        batch_size, steps = episodes.measurement.shape[:2]
+        knobs = knobs or Knobs.nominal(batch_size)
         status, failed_at = np.zeros(batch_size, np.int64), np.full(batch_size, -1)
+        mean, spread = episodes.mean, self._form.start(episodes.factor)
         means = np.full((batch_size, steps, mean.shape[1]), np.nan)
         nis = np.full((batch_size, steps), np.nan)
-        spread = self._form.start(factor)
-        dt = np.diff(time, prepend=time[:1])
+        dt = np.diff(episodes.time, prepend=episodes.time[:1])
         for t in range(steps):
             if t == 0:
                 prediction = Prediction(mean, spread, np.zeros_like(spread))
                 blame(status, BAD_PREDICTION, mean, spread)
             else:
-                elapsed = np.full(batch_size, dt[t])
-                prediction = self._predict(mean, spread, u[:, t], elapsed, status)
-            told = self._update(
-                prediction, fading, process_scale, s[:, t], z[:, t], sd[:, t], status, correct=True
-            )
+                inputs, elapsed = episodes.motion_inputs[:, t], np.full(batch_size, dt[t])
+                prediction = self._predict(mean, spread, inputs, elapsed, status)
+            told = self._update(prediction, knobs, measured(episodes, t), status, correct=True)
             mean, spread = told.mean, told.factor
             failed_at[(status != OK) & (failed_at < 0)] = t
             sound = status == OK
@@ -245,9 +196,11 @@ class ReferenceFilter:
             status[guilty] = np.where(status[guilty] == OK, NOT_POSITIVE_DEFINITE, status[guilty])
 
 
-def _nothing(z: Array) -> tuple[Array, ...]:
+def _nothing(value: Array) -> tuple[Array, ...]:
     """The last five fields of `Update` where no channel arrived."""
-    return *np.full((3, *z.shape), np.nan), np.full(len(z), np.nan), np.zeros(len(z))
+    batch_size = len(value)
+    nothing = np.full((3, *value.shape), np.nan)
+    return *nothing, np.full(batch_size, np.nan), np.zeros(batch_size)
 
 
 def _tell(found: Correction, present: NDArray[np.bool_]) -> tuple[Array, ...]:

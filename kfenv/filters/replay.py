@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from kfenv.filters.fading import Fading, fading_factor, second_moment
 from kfenv.filters.matrices import cholesky, symmetric, transpose, tria
+from kfenv.filters.protocol import Episodes, Filter, Knobs, Measurement, measured
 from kfenv.filters.results import (
     BAD_PREDICTION,
     NOT_POSITIVE_DEFINITE,
@@ -22,47 +23,40 @@ Status = NDArray[np.int64]
 
 
 def replay(
-    tier,
+    tier: Filter,
     rule: Fading | None,
-    mean: Array,
-    factor: Array,
-    time: Array,
-    u: Array,
-    s: Array,
-    z: Array,
-    sd: Array,
-    fading: Array,
-    process_scale: Array,
+    episodes: Episodes,
+    knobs: Knobs | None = None,
     keep: bool = True,
 ) -> History:
-    """Filter recordings; arguments from ``mean`` on as in `ReferenceFilter.run`.
+    """Filter episodes step by step, as `Filter.run` does.
 
     Args:
-        tier: a filter in square-root form with `predict`, `innovate` and `update`; for a
-            robust rule a `GaussianSum`.
+        tier: a filter in square-root form; for a robust rule a `GaussianSum`.
         rule: adaptive fading on top of the constant knob, or None.
         keep: whether to keep factors and covariances; they are None otherwise.
     """
-    batch, steps = z.shape[:2]
+    batch, steps, m = episodes.measurement.shape
+    knobs = knobs or Knobs.nominal(batch)
+    mean, factor = episodes.mean, episodes.factor
     status, failed_at = np.zeros(batch, np.int64), np.full(batch, -1)
     means = np.full((batch, steps, mean.shape[1]), np.nan)
     nis = np.full((batch, steps), np.nan)
     factors = np.full((batch, steps, *factor.shape[1:]), np.nan) if keep else None
-    dt = np.diff(time, prepend=time[:1])
-    moment = np.full((batch, z.shape[2]), np.nan)
+    dt = np.diff(episodes.time, prepend=episodes.time[:1])
+    moment = np.full((batch, m), np.nan)
     for t in range(steps):
         if t == 0:
             prediction = Prediction(mean.copy(), factor.copy(), np.zeros_like(factor))
             blame(status, BAD_PREDICTION, mean, factor)
         else:
-            inputs = np.ascontiguousarray(u[:, t])
+            inputs = np.ascontiguousarray(episodes.motion_inputs[:, t])
             prediction = tier.predict(mean, factor, inputs, np.full(batch, dt[t]), status)
-        pending = [np.ascontiguousarray(a[:, t]) for a in (s, z, sd)]
-        if rule is None or np.isnan(pending[1]).all():
-            told = tier.update(prediction, fading, process_scale, *pending, status)
+        pending = prediction, knobs, measured(episodes, t), status
+        if rule is None or np.isnan(episodes.measurement[:, t]).all():
+            told = tier.update(*pending)
         else:
-            arguments = (tier, rule, prediction, fading, process_scale, *pending, status)
-            told, moment = faded_update(*arguments, moment)
+            told, moment = faded_update(tier, rule, *pending, moment)
         mean, factor = told.mean, told.factor
         failed_at[(status != OK) & (failed_at < 0)] = t
         sound = status == OK
@@ -75,14 +69,11 @@ def replay(
 
 
 def faded_update(
-    tier,
+    tier: Filter,
     rule: Fading,
     prediction: Prediction,
-    fading: Array,
-    process_scale: Array,
-    s: Array,
-    z: Array,
-    sd: Array,
+    knobs: Knobs,
+    measurement: Measurement,
     status: Status,
     moment: Array,
 ) -> tuple[Update, Array]:
@@ -94,20 +85,21 @@ def faded_update(
     Returns:
         The update, and V with this innovation taken in.
     """
-    arguments = (process_scale, s, z, sd, status)
     nominal = None
     if rule.v_mode == "robust":
-        looked, nominal = tier.nominal_probability(prediction, fading, *arguments)
+        looked, nominal = tier.nominal_probability(prediction, knobs, measurement, status)
     else:
-        looked = tier.innovate(prediction, fading, *arguments)
+        looked = tier.innovate(prediction, knobs, measurement, status)
     with np.errstate(all="ignore"):  # what has failed holds anything
         moment = second_moment(rule, moment, looked.innovation, looked.variance, nominal)
-        factor = np.where(status == OK, fading_factor(rule, moment, looked.variance, sd), 1.0)
+        factor = fading_factor(rule, moment, looked.variance, measurement.noise)
+        factor = np.where(status == OK, factor, 1.0)
     if rule.applied == "twice":
-        return _faded_twice(tier, prediction, factor, fading, *arguments), moment
+        return _faded_twice(tier, prediction, factor, knobs, measurement, status), moment
     if rule.applied == "raw-moment":
         prediction = _with_raw_moment(prediction, factor)
-    return tier.update(prediction, fading * factor, *arguments), moment
+    knobs = knobs._replace(fading=knobs.fading * factor)
+    return tier.update(prediction, knobs, measurement, status), moment
 
 
 def _with_raw_moment(prediction: Prediction, factor: Array) -> Prediction:
@@ -117,19 +109,19 @@ def _with_raw_moment(prediction: Prediction, factor: Array) -> Prediction:
 
 
 def _faded_twice(
-    tier, prediction: Prediction, factor: Array, fading: Array, process_scale: Array,
-    s: Array, z: Array, sd: Array, status: Status,
+    tier: Filter, prediction: Prediction, factor: Array, knobs: Knobs, measurement: Measurement,
+    status: Status,
 ) -> Update:  # fmt: skip
     """lambda on P^-, and on P_yy and P_xy again; then P = P^- - K P_yy K^T (eq 35, 41, 42).
 
     P_yy and P_xy are those of lambda P^-, and its update by the tier is
     lambda P^- - K P_yy K^T: what is printed lies (lambda - 1) P^- below.
     """
-    root = np.sqrt(fading * factor)[:, None, None] * prediction.root
-    noise = np.sqrt(process_scale)[:, None, None] * prediction.noise
+    root = np.sqrt(knobs.fading * factor)[:, None, None] * prediction.root
+    noise = np.sqrt(knobs.process_scale)[:, None, None] * prediction.noise
     predicted = tria(root, noise)
     once = Prediction(prediction.mean, predicted, np.zeros_like(predicted))
-    told = tier.update(once, factor, np.ones_like(factor), s, z, sd, status)
+    told = tier.update(once, Knobs(factor, np.ones_like(factor)), measurement, status)
     excess = (factor - 1.0)[:, None, None] * (predicted @ transpose(predicted))
     with np.errstate(all="ignore"):
         covariance = told.factor @ transpose(told.factor) - excess
