@@ -395,7 +395,8 @@ def test_a_broken_filter_leaves_its_neighbours_alone(name):
     assert hurt.status[2] != 0 and hurt.failed_at[2] == 20
     assert np.isnan(hurt.mean[2, 20:]).all() and np.isfinite(hurt.mean[2, :20]).all()
     np.testing.assert_array_equal(hurt.mean[[0, 1, 3]], whole.mean[[0, 1, 3]])
-    alone = tier.history(one := case.only([1]), one.knobs)
+    one = case.only([1])
+    alone = tier.history(one, one.knobs)
     np.testing.assert_array_equal(alone.mean[0], whole.mean[1])
     again = pickle.loads(pickle.dumps(tier)).run(case, case.knobs)
     np.testing.assert_array_equal(again.mean, whole.mean)

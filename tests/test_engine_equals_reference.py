@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pairs import PAIRS, Case, radar_case, wrap
 
+from kfenv.filters import engine
 from kfenv.filters.engine import Engine
 from kfenv.filters.protocol import measured
 from kfenv.filters.reference import ReferenceFilter
@@ -103,7 +104,8 @@ def test_a_filter_has_the_same_bits_alone_and_in_a_batch(tier):
     case = radar_case(batch=5)
     together = tier(variable_turn(), radar()).run(case, case.knobs)
     for b in range(5):
-        alone = tier(variable_turn(), radar()).run(one := case.only([b]), one.knobs)
+        one = case.only([b])
+        alone = tier(variable_turn(), radar()).run(one, one.knobs)
         np.testing.assert_array_equal(alone.mean[0], together.mean[b])
         np.testing.assert_array_equal(alone.nis[0], together.nis[b])
 
@@ -113,3 +115,14 @@ def test_a_reference_filter_pickles():
     tier = ReferenceFilter(variable_turn(), radar(), "srukf-joseph", kappa=2.0)
     again = pickle.loads(pickle.dumps(tier))
     np.testing.assert_array_equal(again.run(case, case.knobs).mean, tier.run(case, case.knobs).mean)
+
+
+def test_compiled_code_is_kept_under_a_name_of_what_it_was_made_of(tmp_path, monkeypatch):
+    """Numba looks only at the file of the entry points: a change of the cycle must rename them."""
+    models = variable_turn(), radar(), 1.0
+    before = engine._kernel.__wrapped__(*models).predict.__name__
+    assert engine._kernel.__wrapped__(*models).predict.__name__ == before
+    changed = tmp_path / "cycle.py"
+    changed.write_text(engine.CYCLE.read_text() + "# changed")
+    monkeypatch.setattr(engine, "CYCLE", changed)
+    assert engine._kernel.__wrapped__(*models).predict.__name__ != before

@@ -55,8 +55,9 @@ def test_only_the_victim_fails(tier, what):
     ]
     # the others: as in a run without it, by the same object (whose scratch the victim used) and
     # by a fresh one
+    others = case.only(OTHERS)
     for again in (filters, make(tier)):
-        alone = again.run(rest := case.only(OTHERS), rest.knobs)
+        alone = again.run(others, others.knobs)
         np.testing.assert_array_equal(run.mean[OTHERS], alone.mean)
         np.testing.assert_array_equal(run.nis[OTHERS], alone.nis)
 
@@ -86,7 +87,8 @@ def test_a_lost_root_says_that_the_covariance_is_not_positive_definite(tier):
     run = make(tier).run(case, case.knobs)
     assert list(run.status) == [0, 0, 4, 0, 0]
     assert "no longer positive definite" in describe_failures(run.status, run.failed_at)[0]
-    alone = make(tier).run(rest := case.only(OTHERS), rest.knobs)
+    others = case.only(OTHERS)
+    alone = make(tier).run(others, others.knobs)
     np.testing.assert_array_equal(run.mean[OTHERS], alone.mean)
 
 
