@@ -66,6 +66,7 @@ class Core:
         self._prediction = Prediction(np.zeros((batch, n)), *np.zeros((2, batch, n, n)))
         self._pending = _empty_update(batch, n, m)
         self._update = _empty_update(batch, n, m)
+        self._nominal = Knobs.nominal(batch)
         self._rows, self._last = np.arange(batch), steps - 1
         self.index = np.zeros(batch, np.int64)
         self._scored = np.zeros(batch, np.int64)
@@ -181,21 +182,25 @@ class Core:
         """What an episode holds at each filter's instant, or at the last one beyond it."""
         return self._episode[name][self._rows, self._instant]
 
-    def _measurement(self, noise: Array) -> Measurement:
-        return Measurement(self._gather("sensor_inputs"), self._gather("measurement"), noise)
+    def _measurement(self) -> Measurement:
+        """What arrives at each filter's instant."""
+        episode, here = self._episode, (self._rows, self._instant)
+        return Measurement(
+            episode["sensor_inputs"][here], episode["measurement"][here], episode["noise"][here]
+        )
 
     @property
     def _instant(self) -> NDArray[np.int64]:
         return np.minimum(self.index, self._last)
 
     def _correct(self, active: Mask) -> None:
-        noise = self._gather("noise") * self.factors[:, 2 + self._group]
+        arrived = self._measurement()
+        told = arrived._replace(noise=arrived.noise * self.factors[:, 2 + self._group])
         work = np.where(active, self.status, IDLE)
         due = self.index % self.scenario.steps_per_measurement == 0
         knobs = Knobs(np.where(due, self.factors[:, 0], 1.0), self.factors[:, 1].copy())
         outlier_odds = (self.factors[:, -1].copy(),) if self.options.mixture else ()
-        measurement = self._measurement(noise)
-        result = self.filter.update(self._prediction, knobs, measurement, work, *outlier_odds)
+        result = self.filter.update(self._prediction, knobs, told, work, *outlier_odds)
         self._update = _merge(self._update, result, active)
         np.copyto(self._scored, self.index, where=active)
         np.copyto(self.status, work, where=active)
@@ -216,8 +221,8 @@ class Core:
     def _look(self, active: Mask) -> None:
         """Form the pending innovation with nominal knobs and take it into the statistics."""
         work = np.where(active, self.status, IDLE)
-        knobs, measurement = Knobs.nominal(self.batch), self._measurement(self._gather("noise"))
-        result = self.filter.innovate(self._prediction, knobs, measurement, work)
+        arrived = self._measurement()
+        result = self.filter.innovate(self._prediction, self._nominal, arrived, work)
         self._pending = _merge(self._pending, result, active)
         np.copyto(self.status, work, where=active)
         dt = self._dt[self._instant]
