@@ -7,15 +7,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from kfenv.agents.cli.app import app
-from kfenv.agents.reproduction import experiments, hard_geometry, monte_carlo, radar_tracking
+from kfenv.agents.reproduction import (
+    experiments,
+    figures,
+    hard_geometry,
+    monte_carlo,
+    radar_tracking,
+    radar_validation,
+    timing,
+)
 from kfenv.agents.reproduction.claims import FAILS, HOLDS, OTHER_REASON, Claim, judge, write_claims
 from kfenv.agents.reproduction.experiments import Experiment
+from kfenv.agents.reproduction.laboratory import Laboratory
 from kfenv.agents.reproduction.monte_carlo import CHUNK, Method, Study, run_study
-from kfenv.agents.reproduction.radar_tracking import published
+from kfenv.agents.reproduction.radar_conditioning import conditioning
+from kfenv.agents.reproduction.radar_tracking import jammed_and_lost
 from matplotlib.figure import Figure
+from rich.progress import Progress
 from typer.testing import CliRunner
 
 from kfenv.scenarios.radar.validation import RadarValidation
+from kfenv.scenarios.recording import FaultInterval
 from kfenv.scenarios.trajectories import paper_trajectory
 
 EKF_PRINTED = Method("EKF as printed", "ekf-unsymmetrised")
@@ -179,7 +191,7 @@ def largest_difference(one, other):
 E1 = Study("E1", RadarValidation(), (EKF_PRINTED, EKF, UKF_J, SRUKF_J), 12)
 E3 = Study(
     "E3",
-    replace(published(loss=20.0), duration=185.0),
+    replace(jammed_and_lost(loss=20.0), duration=185.0),
     tuple(m for m in radar_tracking.METHODS if m.label in ("UKF-J", "SRUKF-J")),
     4,
 )
@@ -232,8 +244,8 @@ def test_e2(tmp_path):
 
 
 class TestE3:
-    def test_the_published_scenario(self):
-        scenario = published(loss=20.0)
+    def test_the_scenario(self):
+        scenario = jammed_and_lost(loss=20.0)
         assert pickle.loads(pickle.dumps(scenario)) == scenario
         one, other = (scenario.episode(np.random.default_rng(seed)) for seed in (1, 2))
         np.testing.assert_array_equal(one.truth[0], paper_trajectory("B", scenario.time))
@@ -247,9 +259,13 @@ class TestE3:
     def test_variants_meet_the_same_noise(self):
         base, wet, untold = (
             scenario.episode(np.random.default_rng(1))
-            for scenario in (published(), published(rain=50.0), published(known=False))
+            for scenario in (
+                jammed_and_lost(),
+                jammed_and_lost(rain=50.0),
+                jammed_and_lost(known=False),
+            )
         )
-        exact = published().draft(base.truth[0], None).exact
+        exact = jammed_and_lost().draft(base.truth[0], None).exact
         drawn, in_rain = ((r.measurement - exact) / r.true_noise for r in (base, wet))
         np.testing.assert_allclose(drawn, in_rain, atol=1e-6)
         assert np.all(wet.true_noise > base.true_noise)
@@ -271,6 +287,73 @@ class TestE3:
                            for when in (clear, jam))  # fmt: skip
         np.testing.assert_allclose(outside, (0.72, 0.36, 0.36), rtol=0.25)  # SPEC C8
         np.testing.assert_allclose(inside, (0.60, 0.24, 0.26), rtol=0.25)
+
+
+class TestComputingTime:
+    @pytest.mark.parametrize(
+        ("seconds", "verdict"),
+        [(lambda rate: 3.0 * rate**0.9, FAILS), (lambda rate: 0.1 * np.exp(0.5 * rate), HOLDS)],
+    )
+    def test_the_verdict_on_its_growth_follows_the_times(
+        self, seconds, verdict, tmp_path, monkeypatch
+    ):
+        def timed(scenario, methods, recordings):
+            rates = np.array([(len(r.time) - 1) / scenario.duration for r in recordings])
+            return {m.label: seconds(rates) for m in methods} | {timing.ENGINE: rates**0.0}
+
+        monkeypatch.setattr(timing, "time_trajectories", timed)
+        laboratory = Laboratory(tmp_path, 2, 0, 1, Progress(disable=True))
+        claim = radar_validation._growth(laboratory, RadarValidation(duration=20.0))
+        assert claim.verdict == verdict
+        assert ("power of 0.90 to 0.90" in claim.measured) == (verdict == FAILS)
+        assert (tmp_path / "time_by_interval.png").exists()
+
+    def test_every_filter_is_timed_on_every_recording(self, monkeypatch):
+        monkeypatch.setattr(timing, "REPEATS", 1)
+        recordings = [
+            replace(SHORT, rate=rate, noise_deviation=(30.0, 1.0, 1.0)).sample(
+                [np.random.default_rng(0)]
+            )
+            for rate in (1.0, 4.0)
+        ]
+        times = timing.time_trajectories(SHORT, (EKF, EXACT), recordings)
+        assert set(times) == {"EKF", "exact", timing.ENGINE}
+        assert all(seconds.shape == (2,) and np.all(seconds > 0.0) for seconds in times.values())
+
+
+def altered(outcome, **factors):
+    """An outcome with some of its arrays multiplied."""
+    return outcome._replace(**{k: getattr(outcome, k) * f for k, f in factors.items()})
+
+
+class TestVerdictsFollowTheNumbers:
+    @pytest.fixture(scope="class")
+    def outcomes(self, e1):
+        return e1 | {"UKF": e1["UKF-J"], "SRUKF": e1["SRUKF-J"]}
+
+    def test_of_the_square_root(self, outcomes):
+        claim = conditioning(E1, outcomes, "E1")
+        assert claim.verdict == OTHER_REASON and "half the digits" in claim.measured
+        better = altered(outcomes["SRUKF-J"], root_condition=0.1)
+        claim = conditioning(E1, outcomes | {"SRUKF-J": better}, "E1")
+        assert claim.verdict == HOLDS and "half the digits" not in claim.measured
+
+    def test_of_the_accelerations(self, outcomes):
+        claim = radar_tracking._acceleration(E1, outcomes)
+        assert claim.verdict == FAILS and "one estimator" in claim.measured
+        better = altered(outcomes["SRUKF-J"], error=0.9)
+        claim = radar_tracking._acceleration(E1, outcomes | {"SRUKF-J": better})
+        assert claim.verdict == HOLDS and "one estimator" not in claim.measured
+
+
+def test_a_track_marks_the_faults_that_befell_it():
+    time = np.arange(0.0, 11.0)
+    truth = np.stack([100.0 * time, 50.0 * time, 0.0 * time], axis=1)
+    faults = [FaultInterval("jamming", 2.0, 5.0), FaultInterval("signal loss", 20.0, 30.0)]
+    plan, _ = figures.track(time, truth, truth + 1.0, {"EKF": truth}, faults=faults).axes
+    marked = {line.get_label(): line.get_xdata() for line in plan.lines}
+    np.testing.assert_allclose(marked["jamming"], [200.0, 300.0, 400.0, 500.0])
+    assert "signal loss" not in marked
 
 
 class TestHardGeometry:

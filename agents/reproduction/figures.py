@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ..plotting import COLOURS, clean
+from kfenv.scenarios.recording import FaultInterval
+
+from ..plotting import COLOURS, SHADES, clean, shade
 from .monte_carlo import Outcome
 
 Array = NDArray[np.float64]
@@ -23,9 +25,13 @@ DASHES = ("-", (0, (6, 4)), (3, (4, 4)), (0, (2, 3)), (2, (1, 3)))
 
 
 def track(
-    time: Array, truth: Array, measured: Array | None, estimates: Mapping[str, Array],
+    time: Array,
+    truth: Array,
+    measured: Array | None,
+    estimates: Mapping[str, Array],
     names: AxisNames = LOCAL,
-) -> Figure:  # fmt: skip
+    faults: Sequence[FaultInterval] = (),
+) -> Figure:
     """One run, y over x and z against time: truth, measurements and estimates.
 
     Args:
@@ -33,6 +39,7 @@ def track(
         truth: (T, 3) positions, m.
         measured: (T, 3), NaN where nothing arrived; None where the sensor measures no position.
         estimates: (T, 3) by label.
+        faults: marked where they befell the target.
     """
     figure = Figure((10.0, 4.8), layout="constrained")
     above, height = figure.subplots(1, 2)
@@ -46,12 +53,20 @@ def track(
             axes.plot(x_of(path), path[:, y] / unit, lw=1.3, label=label, **_style(style, 1))
         clean(axes)
     low, high = truth.min(axis=0) / unit, truth.max(axis=0) / unit
-    margin = 0.25 * (high - low)
+    scatter = 0.0 if measured is None else np.nanstd(measured - truth, axis=0) / unit
+    margin = 0.25 * (high - low) + 2.0 * scatter
     above.set_xlim(low[0] - margin[0], high[0] + margin[0])
     above.set_ylim(low[1] - margin[1], high[1] + margin[1])
     height.set_ylim(low[2] - 2.0 * margin[2], high[2] + 2.0 * margin[2])
     above.set(xlabel=f"{names[0]}, {unit_name}", ylabel=f"{names[1]}, {unit_name}")
     height.set(xlabel="time, s", ylabel=f"{names[2]}, {unit_name}")
+    for fault in faults:
+        during = (time >= fault.start) & (time <= fault.stop)
+        if fault.label in SHADES and during.any():
+            above.plot(*truth[during, :2].T / unit, color=SHADES[fault.label], lw=12, alpha=0.35,
+                       solid_capstyle="butt", zorder=1, label=fault.label)  # fmt: skip
+    shade(height, faults, labelled=False)
+    height.set_xlim(time[0], time[-1])
     above.legend(frameon=False, fontsize=9)
     return figure
 
@@ -115,19 +130,21 @@ def rmse_difference(time: Array, first: Outcome, second: Outcome, title: str) ->
 
 
 def condition(time: Array, outcomes: Mapping[str, Outcome]) -> Figure:
-    """Condition numbers: of P, and of the factor S with its square beside it.
+    """Condition numbers: of P where no factor S is carried, else of S with its square beside it.
 
     Lines are medians over the runs, thin ones the worst run.
     """
     figure = Figure((10.0, 5.2), layout="constrained")
     left, right = figure.subplots(1, 2, sharex=True, sharey=True)
-    for style, (label, outcome) in enumerate(outcomes.items()):
-        _spread(left, time, outcome.condition, label, style)
-        if np.isfinite(outcome.root_condition).any():
-            _spread(right, time, outcome.root_condition, f"{label}: κ(S)", style)
-            squared = np.nanmedian(outcome.root_condition**2, axis=0)
-            colour = _style(style)["color"]
-            right.plot(time, squared, color=colour, lw=3.5, alpha=0.3, label=f"{label}: κ(S)²")
+    rooted = {k: o for k, o in outcomes.items() if np.isfinite(o.root_condition).any()}
+    others = {label: outcome for label, outcome in outcomes.items() if label not in rooted}
+    for style, (label, outcome) in enumerate(others.items()):
+        _spread(left, time, outcome.condition, label, _style(style))
+    for style, (label, outcome) in enumerate(rooted.items()):
+        line = _style(style, len(others))
+        squared = np.nanmedian(outcome.root_condition**2, axis=0)
+        right.plot(time, squared, **line | {"lw": 3.5, "alpha": 0.4}, label=f"{label}: κ(S)²")
+        _spread(right, time, outcome.root_condition, f"{label}: κ(S)", line)
     left.set_title("κ(P) of the covariance: median, thin the worst run", loc="left", fontsize=10)
     right.set_title("κ(S) of the square root, and its square", loc="left", fontsize=10)
     for axes in (left, right):
@@ -138,11 +155,11 @@ def condition(time: Array, outcomes: Mapping[str, Outcome]) -> Figure:
     return figure
 
 
-def _spread(axes: Axes, time: Array, values: Array, label: str, style: int) -> None:
+def _spread(axes: Axes, time: Array, values: Array, label: str, line: dict[str, Any]) -> None:
     seen = np.isfinite(values).any(axis=0)
     median, worst = (f(values[:, seen], axis=0) for f in (np.nanmedian, np.nanmax))
-    axes.plot(time[seen], median, lw=1.5, label=label, **_style(style))
-    axes.plot(time[seen], worst, lw=0.5, color=_style(style)["color"])
+    axes.plot(time[seen], median, lw=1.5, label=label, **line)
+    axes.plot(time[seen], worst, lw=0.5, color=line["color"])
 
 
 def _style(number: int, first: int = 0) -> dict[str, Any]:
