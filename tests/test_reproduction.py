@@ -327,7 +327,7 @@ def altered(outcome, **factors):
 
 
 class TestVerdictsFollowTheNumbers:
-    @pytest.fixture(scope="class")
+    @pytest.fixture
     def outcomes(self, e1):
         return e1 | {"UKF": e1["UKF-J"], "SRUKF": e1["SRUKF-J"]}
 
@@ -348,7 +348,7 @@ class TestVerdictsFollowTheNumbers:
 
 def test_a_track_marks_the_faults_that_befell_it():
     time = np.arange(0.0, 11.0)
-    truth = np.stack([100.0 * time, 50.0 * time, 0.0 * time], axis=1)
+    truth = np.stack([100.0 * time, 50.0 * time, time], axis=1)
     faults = [FaultInterval("jamming", 2.0, 5.0), FaultInterval("signal loss", 20.0, 30.0)]
     plan, _ = figures.track(time, truth, truth + 1.0, {"EKF": truth}, faults=faults).axes
     marked = {line.get_label(): line.get_xdata() for line in plan.lines}
