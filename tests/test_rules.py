@@ -92,13 +92,16 @@ UP, DOWN, CHANNELS, STEPS = 0.3, 0.2, 3, 6
 
 
 def heard(model, innovation, explained, told, leak=0.0):
-    """The belief after all innovations (T, m), and the last factors of the noise."""
-    belief = prior(model, 1, innovation.shape[1])
+    """The belief after all innovations (T, m), the last factors of the noise, log-likelihood."""
+    belief, evidence = prior(model, 1, innovation.shape[1]), 0.0
     for t, row in enumerate(innovation):
         variance = np.where(np.isnan(row), np.nan, explained + told**2)[None]
         passed = np.array([STEP if t else 0.0])
-        factor = hear(row[None], variance, told[None], passed, UP, DOWN, leak, grid(model), belief)
-    return belief, factor[0]
+        factor, told_by = hear(
+            row[None], variance, told[None], passed, UP, DOWN, leak, grid(model), belief
+        )
+        evidence += told_by[0]
+    return belief, factor[0], evidence
 
 
 def transition(levels):
@@ -139,7 +142,8 @@ def test_hmm_equals_enumeration_of_all_paths():
     for t in range(1, STEPS):
         chance *= step[paths[:, t - 1], paths[:, t]] * weight[t, paths[:, t]]
     last = np.bincount(paths[:, -1], chance, minlength=6) / chance.sum()
-    belief, factor = heard(model, innovation, explained, told)
+    belief, factor, evidence = heard(model, innovation, explained, told)
+    np.testing.assert_allclose(evidence, np.log(chance.sum()), rtol=1e-9)
     np.testing.assert_allclose(belief.level[0], last.reshape(3, 2).sum(axis=1), rtol=1e-9)
     noise = 1.0 / (last @ (1.0 / variance)) - explained
     np.testing.assert_allclose(factor**2, noise / told**2, rtol=1e-9)
@@ -151,7 +155,7 @@ def test_hmm_weighs_misreports_as_bayes_does():
     variance = explained + told**2 * factors(model.misreport)[:, None] ** 2  # (M, m)
     chance = likelihood(innovation[:, None], variance).prod(axis=0)
     chance /= chance.sum(axis=0)
-    belief, factor = heard(model, innovation, explained, told)
+    belief, factor, _ = heard(model, innovation, explained, told)
     np.testing.assert_allclose(belief.misreport[0].T, chance, rtol=1e-9)
     noise = 1.0 / (chance / variance).sum(axis=0) - explained
     np.testing.assert_allclose(factor**2, noise / told**2, rtol=1e-9)
@@ -165,7 +169,7 @@ def test_hmm_learns_whether_the_episode_glints():
         for factor in (1.0, factors(7))
     )
     glinting = (0.8 * usual + 0.2 * outlier).prod()
-    belief, _ = heard(model, innovation, explained, told)
+    belief, *_ = heard(model, innovation, explained, told)
     assert belief.glints[0] == pytest.approx(glinting / (glinting + usual.prod()), rel=1e-9)
 
 
@@ -191,8 +195,8 @@ def test_hmm_survives_what_no_level_explains():
 def test_nothing_arriving_changes_no_belief_but_the_levels():
     model = replace(FaultModel.of(RadarTracking()), glint_share=0.1)
     innovation, explained, told = drawn()
-    before, _ = heard(model, innovation, explained, told)
-    after, factor = heard(model, np.vstack([innovation, np.full(3, np.nan)]), explained, told)
+    before, *_ = heard(model, innovation, explained, told)
+    after, factor, _ = heard(model, np.vstack([innovation, np.full(3, np.nan)]), explained, told)
     assert np.isnan(factor).all()
     np.testing.assert_array_equal(after.misreport, before.misreport)
     np.testing.assert_array_equal(after.glints, before.glints)

@@ -6,7 +6,7 @@ factors is a sum of whole numbers: the power of `RATIO`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import log, prod, sqrt
 from typing import Any
 
@@ -59,6 +59,10 @@ class FaultModel:
         return cls(
             **_bursts(faults, scenario.duration), **_outliers(faults), misreport=_misreport(faults)
         )
+
+    def with_glint_share(self, share: float) -> FaultModel:
+        """The model with another share of outliers, if it has any."""
+        return replace(self, glint_share=share) if self.glint_share > 0.0 else self
 
 
 def factors(powers: tuple[int, ...] | NDArray[np.int64]) -> NDArray[np.float64]:

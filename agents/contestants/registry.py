@@ -9,6 +9,10 @@ from kfenv.filters.designs import DESIGNS
 from kfenv.names import unknown
 
 from .agent import Agent, Contestant
+from .banks.bank import BankContestant
+from .banks.noise_and_motion import ImmRq
+from .banks.noise_levels import Imm, Imm8, ImmGlint
+from .banks.two_filters import Hmm2q
 from .clairvoyant import Clairvoyant, ClairvoyantRq
 from .family import AdaptiveFamilyFilter, FamilyFilter
 from .fixed import Fixed, FixedTuned, Random
@@ -38,7 +42,14 @@ AGENTS: dict[str, type[Agent]] = {
     "clairvoyant-rq": ClairvoyantRq,
     "random": Random,
 }
-NAMES = (*AGENTS, *DESIGNS, *ADAPTIVE_DESIGNS)
+BANKS: dict[str, type[BankContestant]] = {
+    "imm": Imm,
+    "imm-8": Imm8,
+    "imm-glint": ImmGlint,
+    "imm-rq": ImmRq,
+    "hmm-2q": Hmm2q,
+}
+NAMES = (*AGENTS, *BANKS, *DESIGNS, *ADAPTIVE_DESIGNS)
 
 
 def make_agent(name_or_path: str) -> Contestant:
@@ -51,6 +62,8 @@ def make_agent(name_or_path: str) -> Contestant:
     """
     if name_or_path in AGENTS:
         return AGENTS[name_or_path](name_or_path)
+    if name_or_path in BANKS:
+        return BANKS[name_or_path](name_or_path)
     if name_or_path in DESIGNS:
         return FamilyFilter(name_or_path)
     if name_or_path in ADAPTIVE_DESIGNS:

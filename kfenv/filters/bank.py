@@ -111,6 +111,15 @@ class Bank:
         self._noise, self._process_noise, self._fading = np.array(self.modes, dtype=float).T
         self._is_angle = np.array([state.angle for state in tier.motion.states])
 
+    @property
+    def noise_factors(self) -> Array:
+        """Factors (C,) of the told noise's deviation that the components believe."""
+        return np.outer(self._noise, self._factors).ravel()
+
+    def knobs(self, batch: int) -> Knobs:
+        """Of all filters, B K rows."""
+        return Knobs(np.tile(self._fading, batch), np.tile(self._process_noise, batch))
+
     def start(self, mean: Array, factor: Array) -> Prediction:
         """All filters (B K rows) at the initial state (B, n), (B, n, n), as if predicted."""
         count = len(self.modes)
@@ -150,7 +159,7 @@ class Bank:
         noise = measurement.noise
         noise = (noise if noise.ndim == 3 else noise[:, None]) * self._noise[:, None]
         inputs, value = (np.repeat(a, count, axis=0) for a in measurement[:2])
-        knobs = Knobs(np.tile(self._fading, batch), np.tile(self._process_noise, batch))
+        knobs = self.knobs(batch)
         told, log_weight = [], np.empty((batch, count, size))
         for h in range(size):
             work = np.where(np.isfinite(prediction.mean[:, 0]), 0, BAD_PREDICTION)
@@ -172,7 +181,7 @@ class Bank:
             for name in ("mean", "factor", "innovation", "variance", "nis")
             for shape in [getattr(told[0], name).shape[1:]]
         )
-        weighed = np.sum(np.where(weight > 0.0, weight * nis, 0.0), axis=1)
+        weighed = np.sum(weight * np.where(weight > 0.0, nis, 0.0), axis=1)
         return Components(weight, mean, factor, innovation, variance, weighed)
 
     def mix(self, components: Components, transition: Array) -> Mixed:

@@ -1,8 +1,10 @@
 """Moment matching for banks of filters: many Gaussians into few, compiled, eight rows at a time.
 
-Covariances are summed about each mixture's own mean, so that nothing large is subtracted,
-and factored anew by Cholesky. Where rounding leaves a pivot that is not positive, the
-weighted factors themselves are triangularised instead, which always works.
+Covariances are summed about each mixture's own mean, in units of the heaviest component: with
+L_0 its factor and M_i = L_0^-1 L_i, the sum of w_i M_i M_i^T is close to the identity where
+components are alike, so that its Cholesky factor T keeps all digits, and L_0 T is the mixture's. Where
+they are so different that digits would be lost, the weighted factors themselves are
+triangularised instead, which always works and takes longer.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from kfenv.models.namespaces.lanes import LANES, load, spread, store, where_grea
 
 Array = NDArray[np.float64]
 
-NEARLY_ONE = 1.0 - 1.2e-16  # only 1 is greater
+MOST = 1e5  # variance in units of the heaviest component that still keeps ten digits
 
 
 def mix(
@@ -47,8 +49,8 @@ def mix(
     scratch = tuple(
         np.zeros((rows, LANES))
         for rows in (
-            components * targets, components * n, components * size, components * size,
-            n, n, size, size, 1,
+            components * targets, components * n, components * n, components * size,
+            components * size, size, n, n, n, size, size, 1,
         )
     )  # fmt: skip
     _mix(weights, mean, factor, is_angle, *scratch, new_mean, new_factor)
@@ -56,28 +58,32 @@ def mix(
 
 
 @njit(cache=True, **FLOATING_POINT)
-def _mix(weights, mean, factor, is_angle, w, d, L, P, centre, shift, total, S, sound,
-         new_mean, new_factor):  # fmt: skip
-    """Scratch rows: weights, offsets, packed factors and covariances of the components; the
-    centre; one mixture's mean offset, covariance and factor, and whether its pivots are sound."""
+def _mix(weights, mean, factor, is_angle, w, d, e, L, P, base, centre, shift, bend, total, T,
+         sound, new_mean, new_factor):  # fmt: skip
+    """Scratch rows: of the components weights, offsets d, the same in units of the base e,
+    packed factors L and covariances P; the heaviest one's factor and mean, base and centre; of
+    one mixture the mean offsets shift and bend, covariance, factor, and whether it is sound."""
     batch, components, targets = weights.shape
     n = mean.shape[2]
     for first in range(0, batch, LANES):
         _gather(weights, mean, factor, first, w, d, L)
-        _take_offsets(w, components, targets, is_angle, d, centre)
+        _choose(w, components, targets, n, d, L, centre, base)
         for i in range(components):
+            _relate(d, e, L, base, centre, is_angle, i)
             _square(L, P, i, n)
         for j in range(targets):
-            _moments(w, d, P, components, targets, j, n, shift, total)
-            _factorise(total, S, sound, n)
-            _prefer_single(w, L, S, components, targets, j, n)
+            _mean_offset(w, d, components, targets, j, n, shift)
+            _mean_offset(w, e, components, targets, j, n, bend)
+            _covariance(w, e, P, components, targets, j, bend, total)
+            _factorise(total, T, sound, n)
+            _times(base, T, n)
             for k in range(n):
                 value = load(centre, k) + load(shift, k)
                 store(shift, k, wrap(value) if is_angle[k] else value)
             for lane in range(min(LANES, batch - first)):
                 b = first + lane
-                _scatter(shift, S, lane, new_mean[b, j], new_factor[b, j])
-                if not sound[0, lane] > 0.5 and not _is_single(weights[b, :, j]):
+                _scatter(shift, T, lane, new_mean[b, j], new_factor[b, j])
+                if not sound[0, lane] > 0.5:
                     _triangularise(weights[b, :, j], mean[b], new_mean[b, j], is_angle,
                                    factor[b], new_factor[b, j])  # fmt: skip
 
@@ -103,9 +109,9 @@ def _gather(weights, mean, factor, first, w, d, L):
 
 
 @njit(**FLOATING_POINT)
-def _take_offsets(w, components, targets, is_angle, d, centre):
-    """Turn the means in d into offsets from the heaviest component, the centre."""
-    n = len(is_angle)
+def _choose(w, components, targets, n, d, L, centre, base):
+    """Mean and factor of the heaviest component."""
+    size = n * (n + 1) // 2
     heaviest = spread(-1.0)
     for i in range(components):
         total = spread(0.0)
@@ -114,16 +120,39 @@ def _take_offsets(w, components, targets, is_angle, d, centre):
         for k in range(n):
             here = load(d, i * n + k)
             store(centre, k, where_greater(total, heaviest, here, load(centre, k)))
+        for k in range(size):
+            here = load(L, i * size + k)
+            store(base, k, where_greater(total, heaviest, here, load(base, k)))
         heaviest = where_greater(total, heaviest, total, heaviest)
-    for i in range(components):
-        for k in range(n):
-            offset = load(d, i * n + k) - load(centre, k)
-            store(d, i * n + k, wrap(offset) if is_angle[k] else offset)
+
+
+@njit(**FLOATING_POINT)
+def _relate(d, e, L, base, centre, is_angle, i):
+    """Turn mean and factor of component i into an offset d, e = L_0^-1 d and M = L_0^-1 L."""
+    n = len(is_angle)
+    start = i * (n * (n + 1) // 2)
+    for k in range(n):
+        offset = load(d, i * n + k) - load(centre, k)
+        store(d, i * n + k, wrap(offset) if is_angle[k] else offset)
+    for row in range(n):
+        at = row * (row + 1) // 2
+        inverse = 1.0 / load(base, at + row)
+        value = load(d, i * n + row)
+        for k in range(row):
+            value = value - load(base, at + k) * load(e, i * n + k)
+        store(e, i * n + row, value * inverse)
+        for column in range(row):
+            value = load(L, start + at + column)
+            for k in range(column, row):
+                entry = load(L, start + k * (k + 1) // 2 + column)
+                value = value - load(base, at + k) * entry
+            store(L, start + at + column, value * inverse)
+        store(L, start + at + row, load(L, start + at + row) / load(base, at + row))
 
 
 @njit(**FLOATING_POINT)
 def _square(L, P, i, n):
-    """Covariance P_i := L_i L_i^T, both packed by rows of the lower triangle."""
+    """P_i := L_i L_i^T, both packed by rows of the lower triangle."""
     start = i * (n * (n + 1) // 2)
     at = start
     for row in range(n):
@@ -137,30 +166,35 @@ def _square(L, P, i, n):
 
 
 @njit(**FLOATING_POINT)
-def _moments(w, d, P, components, targets, j, n, shift, total):
-    """Mean offset and packed covariance of mixture j."""
-    size = n * (n + 1) // 2
+def _mean_offset(w, offset, components, targets, j, n, mean):
+    """Of mixture j."""
     for k in range(n):
         value = spread(0.0)
         for i in range(components):
-            value = value + load(w, i * targets + j) * load(d, i * n + k)
-        store(shift, k, value)
+            value = value + load(w, i * targets + j) * load(offset, i * n + k)
+        store(mean, k, value)
+
+
+@njit(**FLOATING_POINT)
+def _covariance(w, e, P, components, targets, j, bend, total):
+    """Packed covariance of mixture j, in units of the base."""
+    n, size = len(bend), len(total)
     for k in range(size):
         store(total, k, spread(0.0))
     for i in range(components):
         weight, at = load(w, i * targets + j), 0
         for row in range(n):
-            scaled = weight * (load(d, i * n + row) - load(shift, row))
+            scaled = weight * (load(e, i * n + row) - load(bend, row))
             for column in range(row + 1):
-                off = load(d, i * n + column) - load(shift, column)
+                off = load(e, i * n + column) - load(bend, column)
                 value = load(total, at) + weight * load(P, i * size + at)
                 store(total, at, value + scaled * off)
                 at += 1
 
 
 @njit(**FLOATING_POINT)
-def _factorise(total, S, sound, n):
-    """Packed Cholesky factor; `sound` is 1 in lanes all of whose pivots are positive."""
+def _factorise(total, T, sound, n):
+    """Packed Cholesky factor; `sound` is 1 in lanes that keep their digits."""
     store(sound, 0, spread(1.0))
     for row in range(n):
         start = row * (row + 1) // 2
@@ -168,50 +202,35 @@ def _factorise(total, S, sound, n):
             other = column * (column + 1) // 2
             value = load(total, start + column)
             for k in range(column):
-                value = value - load(S, start + k) * load(S, other + k)
+                value = value - load(T, start + k) * load(T, other + k)
             if column < row:
-                store(S, start + column, value / load(S, other + column))
+                store(T, start + column, value / load(T, other + column))
             else:
-                store(S, start + row, lanes.sqrt(where_greater(value, 0.0, value, 1.0)))
+                store(T, start + row, lanes.sqrt(where_greater(value, 0.0, value, 1.0)))
                 store(sound, 0, where_greater(value, 0.0, load(sound, 0), 0.0))
+                variance = load(total, start + row)
+                store(sound, 0, where_greater(MOST, variance, load(sound, 0), 0.0))
 
 
 @njit(**FLOATING_POINT)
-def _prefer_single(w, L, S, components, targets, j, n):
-    """Where one component has all the weight, take its factor as it is."""
-    size = n * (n + 1) // 2
-    for i in range(components):
-        weight = load(w, i * targets + j)
-        if not _any_single(w, i * targets + j):
-            continue
-        for k in range(size):
-            value = where_greater(weight, NEARLY_ONE, load(L, i * size + k), load(S, k))
-            store(S, k, value)
+def _times(base, T, n):
+    """T := base T, both packed lower factors."""
+    for row in range(n - 1, -1, -1):
+        at = row * (row + 1) // 2
+        for column in range(row + 1):
+            value = spread(0.0)
+            for k in range(column, row + 1):
+                value = value + load(base, at + k) * load(T, k * (k + 1) // 2 + column)
+            store(T, at + column, value)
 
 
 @njit(**FLOATING_POINT)
-def _any_single(w, row):
-    for lane in range(LANES):
-        if w[row, lane] > NEARLY_ONE:
-            return True
-    return False
-
-
-@njit(**FLOATING_POINT)
-def _is_single(weights):
-    for i in range(len(weights)):
-        if weights[i] > NEARLY_ONE:
-            return True
-    return False
-
-
-@njit(**FLOATING_POINT)
-def _scatter(mean, S, lane, new_mean, new_factor):
+def _scatter(mean, T, lane, new_mean, new_factor):
     at = 0
     for row in range(len(new_mean)):
         new_mean[row] = mean[row, lane]
         for column in range(row + 1):
-            new_factor[row, column] = S[at, lane]
+            new_factor[row, column] = T[at, lane]
             at += 1
 
 

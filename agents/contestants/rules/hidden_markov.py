@@ -9,8 +9,7 @@ whether the episode glints are held independent of the level from one step to th
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
-from math import exp, log, sqrt
+from math import exp, log, pi, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,6 +24,7 @@ from ..fault_model import FaultModel, factors
 HOPS = 0.2  # from one disturbed level to another, per beginning of one
 HARD_TURN = 20.0  # m/s^2
 TINY = 1e-300
+TWO_PI = 2.0 * pi
 
 
 class Grid(NamedTuple):
@@ -62,24 +62,28 @@ class HmmNoise(Agent):
 
     def reset(self, briefing: Briefing) -> None:
         super().reset(briefing)
-        model = FaultModel.of(briefing.scenario)
-        share = self.values["glint_share"] if model.glint_share > 0.0 else 0.0
-        self._model = replace(model, glint_share=share)
-        self._grid = grid(self._model)
-        self._belief = prior(self._model, briefing.batch, len(briefing.sensor.channels))
+        model = FaultModel.of(briefing.scenario).with_glint_share(self.values["glint_share"])
+        self._grid = grid(model)
+        self._belief = prior(model, briefing.batch, len(briefing.sensor.channels))
         self._time: Array | None = None
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
-        noise = hear(
+        noise, _ = hear(
             info["innovation"], info["innovation_variance"], info["noise"], self._passed(info),
             self.values["up"], self.values["down"], self.values["leak"], self._grid, self._belief,
         )  # fmt: skip
         return knob_actions(self.briefing, 1.0, self._process_noise(info), noise)
 
     def _passed(self, info: Mapping[str, Any]) -> Array:
-        """Seconds (B,) since the last decision."""
+        """Seconds (B,) from the measurement that pended at the last decision to this one's.
+
+        ``time`` is that of the update before, and stands still at the second decision.
+        """
         before, self._time = self._time, info["time"]
-        return np.zeros(len(self._time)) if before is None else self._time - before
+        if before is None:
+            return np.zeros(len(self._time))
+        usual = self.briefing.decision_interval / self.briefing.scenario.rate
+        return np.where(self._time > before, self._time - before, usual)
 
     def _process_noise(self, info: Mapping[str, Any]) -> Array | float:
         return self.values["process_noise"]
@@ -148,13 +152,14 @@ def hear(innovation, variance, told, passed, up, down, leak, grid, belief):
         leak: share of a channel's misreport that is forgotten at each arrival.
 
     Returns:
-        (B, m) factors of the told deviation that give the mean gain, NaN where none arrived.
+        (B, m) factors of the told deviation that give the mean gain, NaN where none arrived, and
+        (B,) the log-likelihood of the innovations, zero where none arrived.
     """
     batch, channels = innovation.shape
     states, sums = (2 if grid.glint_share > 0.0 else 1, len(grid.levels)), len(grid.variance)
     density, spread = np.empty((channels, sums)), np.empty((channels, sums))
     single, joint = np.empty((channels, *states)), np.empty(states)
-    factor = np.full((batch, channels), np.nan)
+    factor, evidence = np.full((batch, channels), np.nan), np.zeros(batch)
     for b in range(batch):
         _move(belief.level[b], passed[b], up, down)
         arrived = False
@@ -165,11 +170,13 @@ def hear(innovation, variance, told, passed, up, down, leak, grid, belief):
                 explained = max(variance[b, c] - told_variance, 0.0)
                 for k in range(sums):
                     spread[c, k] = explained + told_variance * grid.variance[k]
-                _weigh(innovation[b, c], spread[c], density[c])
+                evidence[b] += _weigh(innovation[b, c], spread[c], density[c])
                 _likelihood(density[c], belief.misreport[b, c], grid, single[c])
         if not arrived:
             continue
-        _posterior(innovation[b], single, belief.level[b], belief.glints, b, grid, joint)
+        evidence[b] += _posterior(
+            innovation[b], single, belief.level[b], belief.glints, b, grid, joint
+        )
         for c in range(channels):
             if not np.isnan(innovation[b, c]):
                 told_variance = told[b, c] ** 2
@@ -179,7 +186,7 @@ def hear(innovation, variance, told, passed, up, down, leak, grid, belief):
                 explained = max(variance[b, c] - told_variance, 0.0)
                 noise = max(1.0 / mean - explained, 1e-6 * told_variance)
                 factor[b, c] = sqrt(noise / told_variance)
-    return factor
+    return factor, evidence
 
 
 @njit(cache=True)
@@ -202,11 +209,16 @@ def _move(level, passed, up, down):
 
 @njit(cache=True)
 def _weigh(innovation, spread, density):
-    """Likelihood at each variance, but for a factor that keeps the greatest of order one."""
+    """Likelihood at each variance, but for a factor that keeps the greatest of order one.
+
+    Returns:
+        The logarithm of that factor.
+    """
     half = 0.5 * innovation * innovation
     least, widest = half / spread[-1], spread[-1]
     for k in range(len(spread)):
         density[k] = exp(least - half / spread[k]) * sqrt(widest / spread[k])
+    return -least - 0.5 * log(TWO_PI * widest)
 
 
 @njit(cache=True)
@@ -222,7 +234,11 @@ def _likelihood(density, misreport, grid, single):
 
 @njit(cache=True)
 def _posterior(innovation, single, level, glints, b, grid, joint):
-    """Levels with and without glint given all channels; level and glints take them in."""
+    """Levels with and without glint given all channels; level and glints take them in.
+
+    Returns:
+        The log-likelihood of the channels, from their likelihoods in `single`.
+    """
     weights = (1.0 - grid.glint_share * glints[b], grid.glint_share * glints[b])
     most = -np.inf
     for g in range(joint.shape[0]):
@@ -245,6 +261,7 @@ def _posterior(innovation, single, level, glints, b, grid, joint):
             level[i] += joint[g, i]
     glinting = (1.0 - grid.glint_share) * evidence[0] + grid.glint_share * evidence[1]
     glints[b] *= glinting / total
+    return most + log(total)
 
 
 @njit(cache=True)
