@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pairs import drawn_case, position_sensor
-
 from kfenv.agents.contest.rollout import draw_episodes, rollout
 from kfenv.agents.contestants.banks.noise_and_motion import MisreportBank
 from kfenv.agents.contestants.fault_model import factors
 from kfenv.agents.contestants.registry import BANKS, make_agent
+from pairs import drawn_case, position_sensor
+
 from kfenv.filters.bank import Bank, Mode, markov
 from kfenv.filters.engine import Engine
 from kfenv.filters.gaussian_sum import Mixture
