@@ -2,9 +2,9 @@
 
 Covariances are summed about each mixture's own mean, in units of the heaviest component: with
 L_0 its factor and M_i = L_0^-1 L_i, the sum of w_i M_i M_i^T is close to the identity where
-components are alike, so that its Cholesky factor T keeps all digits, and L_0 T is the mixture's. Where they
-are so different that digits would be lost, the weighted factors themselves are triangularised
-instead, which always works and takes longer.
+components are alike, so that its Cholesky factor T keeps all digits, and L_0 T is the
+mixture's. Where they are so different that digits would be lost, the weighted factors
+themselves are triangularised instead, which always works and takes longer.
 """
 
 from __future__ import annotations
