@@ -120,9 +120,9 @@ def test_a_reference_filter_pickles():
 def test_compiled_code_is_kept_under_a_name_of_what_it_was_made_of(tmp_path, monkeypatch):
     """Numba looks only at the file of the entry points: a change of the cycle must rename them."""
     models = variable_turn(), radar(), 1.0
-    before = engine._kernel.__wrapped__(*models).predict.__name__
-    assert engine._kernel.__wrapped__(*models).predict.__name__ == before
+    before = engine._kernel.__wrapped__(*models).__name__
+    assert engine._kernel.__wrapped__(*models).__name__ == before
     changed = tmp_path / "cycle.py"
     changed.write_text(engine.CYCLE.read_text() + "# changed")
     monkeypatch.setattr(engine, "CYCLE", changed)
-    assert engine._kernel.__wrapped__(*models).predict.__name__ != before
+    assert engine._kernel.__wrapped__(*models).__name__ != before
