@@ -142,7 +142,7 @@ def acceleration(study: Study, outcomes: Outcomes) -> Claim:
     )
     gains = {label: other - own for label, other in zip(ROOT_FIRST[1:], others, strict=True)}
     told = "; ".join(
-        f"{label}'s {with_interval(gain, 'm/s²')}{too_few(gain, 0.0)}"
+        f"{label}'s {with_interval(gain, 'm/s²')}{too_few(gain, ROUNDING)}"
         for label, gain in gains.items()
     )
     axes = {

@@ -68,12 +68,12 @@ def pseudorange_errors(errors: PseudorangeErrors, faults: Sequence[FaultInterval
         for axes, values in zip(panels, drawn, strict=True):
             axes.plot(errors.time, values[:, channel], color=COLOURS[line], lw=1.2, label=label)
     panels[0].set(ylabel="tropospheric delay, m", ylim=(0.0, None))
-    panels[1].set(ylabel="left by the standard correction, mm")
-    panels[2].set(ylabel="corrected pseudorange's error, m", xlabel="time, s")
+    panels[1].set(ylabel="left once corrected, mm")
+    panels[2].set(ylabel="pseudorange error, m", xlabel="time, s")
     panels[2].set_yscale("symlog", linthresh=LINEAR)
     for axes in panels:
         shade(axes, faults, labelled=False)
         clean(axes)
-    figure.legend(*panels[0].get_legend_handles_labels(), frameon=False, ncols=3, fontsize=9,
+    figure.legend(*panels[0].get_legend_handles_labels(), frameon=False, ncols=4, fontsize=9,
                   loc="outside upper center")  # fmt: skip
     return figure
