@@ -10,6 +10,7 @@ from kfenv.filters.designs import DESIGNS
 from .contest import evaluate
 from .demo import demo
 from .environments import envs
+from .limit import limit
 from .reproduction import reproduce
 from .speed import bench
 from .training import train
@@ -25,6 +26,7 @@ FAMILY = f"Fixed filters of the family: {', '.join((*DESIGNS, *ADAPTIVE_DESIGNS)
 app.command()(envs)
 app.command()(train)
 app.command(epilog=FAMILY)(evaluate)
+app.command()(limit)
 app.command()(reproduce)
 app.command()(bench)
 app.command()(demo)

@@ -1,0 +1,1 @@
+"""A particle filter that knows how faults are drawn: a limit, not a contestant."""
