@@ -1,10 +1,13 @@
 """A contest is paired, repeatable, resumable and leaves its folder whole."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
-from kfenv.agents.contest.evaluation import Contest, evaluate, median_interval, read_scores
+from kfenv.agents.contest.cost import relative_cost
+from kfenv.agents.contest.evaluation import Contest, evaluate
+from kfenv.agents.contest.intervals import mean_interval, median_interval
 from kfenv.agents.contest.rollout import (
     SPLITS,
     draw_episodes,
@@ -12,8 +15,9 @@ from kfenv.agents.contest.rollout import (
     rollout,
     scenario_and_options,
 )
+from kfenv.agents.contest.scores import read_scores
 from kfenv.agents.contest.tuning import tune
-from kfenv.agents.contestants.fixed import Fixed
+from kfenv.agents.contestants.fixed import Fixed, FixedTuned
 from kfenv.agents.contestants.registry import make_agent
 
 import kfenv  # noqa: F401
@@ -21,6 +25,7 @@ from kfenv.filters.engine import Engine
 
 ENV = "kfenv/RadarTracking-v0"
 SHORT = {"rate": 2.0, "duration": 20.0}
+LINEAR = "kfenv/BistaticTracking-v0"
 
 
 def small(**changes):
@@ -29,6 +34,11 @@ def small(**changes):
         "episodes": 6, "seed": 3, "tuning_episodes": 3, "tuning_trials": 3,
     }  # fmt: skip
     return Contest(**(options | changes))
+
+
+def bare(results):
+    """Results without what depends on the machine."""
+    return [{key: value for key, value in result.items() if key != "cost"} for result in results]
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +54,8 @@ def test_results_hold_what_is_promised(evaluated):
     assert [r["agent"] for r in stored] == ["fixed", "fixed-tuned", "huber-gate", "clairvoyant"]
     for result in stored:
         for key in ("agent", "env", "episodes", "rmse", "rmse_median", "rmse_p95", "track_loss",
-                    "anees", "improvement_over_fixed", "ci_low", "ci_high"):  # fmt: skip
+                    "rmse_geometric_mean", "anees", "nis", "cost", "improvement_over_fixed",
+                    "ci_low", "ci_high"):  # fmt: skip
             assert key in result
         assert result["ci_low"] <= result["improvement_over_fixed"] <= result["ci_high"]
     assert stored[0]["improvement_over_fixed"] == 0.0
@@ -58,7 +69,7 @@ def test_improvement_is_the_median_of_paired_ratios(evaluated):
 
 def test_a_contest_repeats(evaluated, tmp_path):
     again = evaluate(small(), tmp_path / "again", processes=2)
-    assert json.dumps(again) == json.dumps(evaluated[1])
+    assert json.dumps(bare(again)) == json.dumps(bare(evaluated[1]))
 
 
 def test_agents_meet_the_same_episodes():
@@ -115,13 +126,82 @@ def test_tuning_never_worsens_the_tuning_episodes():
         assert parameters <= len(tried) <= 10 * parameters
 
 
-def test_median_interval_covers():
+@pytest.mark.parametrize("interval", [median_interval, mean_interval])
+def test_intervals_cover(interval):
     rng = np.random.default_rng(0)
     hits = 0
     for trial in range(100):
-        low, high = median_interval(rng.normal(size=60), trial)
+        low, high = interval(rng.normal(size=60), trial)
         hits += low <= 0.0 <= high
     assert 88 <= hits <= 100
+
+
+def test_a_rival_takes_part_and_is_compared_with(evaluated, tmp_path):
+    folder = tmp_path / "out"
+    shutil.copytree(evaluated[0], folder)
+    results = evaluate(small(agents=("huber-gate",), against="clairvoyant"), folder, 1, True)
+    assert [r["agent"] for r in results] == ["fixed", "fixed-tuned", "clairvoyant", "huber-gate"]
+    own, rival = (np.log(read_scores(folder, n).rmse) for n in ("huber-gate", "clairvoyant"))
+    result = results[3]
+    assert result["against"] == "clairvoyant"
+    assert result["log_ratio"] == pytest.approx(np.mean(own) - np.mean(rival))
+    assert result["rmse_geometric_mean"] == pytest.approx(np.exp(np.mean(own)))
+    assert result["log_ratio_ci_low"] < result["log_ratio"] < result["log_ratio_ci_high"]
+    ends = np.quantile([np.mean(d) for d in resampled(own - rival)], [0.025, 0.975])
+    told = [result[f"log_ratio_ci_{end}"] for end in ("low", "high")]
+    np.testing.assert_allclose(told, ends, atol=0.1 * np.ptp(ends))
+    assert results[2]["log_ratio"] == 0.0 and "against" not in evaluated[1][0]
+
+
+def resampled(values):
+    rng = np.random.default_rng(0)
+    return rng.choice(values, (4000, len(values)))
+
+
+def test_a_folder_gains_agents_and_repeats_none(evaluated, tmp_path):
+    folder = tmp_path / "out"
+    shutil.copytree(evaluated[0], folder)
+    stamps = {path: path.stat().st_mtime_ns for path in (folder / "scores").iterdir()}
+    results = evaluate(small(agents=("random",)), folder, 1, True)
+    assert [r["agent"] for r in results] == ["fixed", "fixed-tuned", "random"]
+    assert all(path.stat().st_mtime_ns == stamp for path, stamp in stamps.items())
+    assert bare(results)[:2] == bare(evaluated[1])[:2]
+
+
+def test_nis_is_one_where_the_filter_is_right():
+    kwargs = {"faults": "none"}
+    recording = draw_episodes(LINEAR, kwargs, "test", 0, 60)
+    fixed = rollout(make_agent("fixed"), LINEAR, kwargs, recording)
+    assert fixed.nis.shape == (60, 4)  # of all channels, and of x, y and z
+    np.testing.assert_allclose(fixed.nis.mean(axis=0), 1.0, atol=0.05)  # 7260 squares a group
+    told = rollout(make_agent("lkf"), LINEAR, kwargs, recording)
+    np.testing.assert_allclose(told.nis[:, 0], fixed.nis[:, 0], rtol=1e-9)
+    assert np.isnan(told.nis[:, 1:]).all()  # it does not tell
+
+
+def test_nis_is_that_of_the_update_not_of_the_look():
+    """Twice the noise in one group's update: there nu^2 / S falls, elsewhere it stays near one."""
+    kwargs = {"faults": "none"}
+    recording = draw_episodes(LINEAR, kwargs, "test", 0, 60)
+    agent = FixedTuned("mine", {"y_noise": 2.0})
+    nis = rollout(agent, LINEAR, kwargs, recording).nis.mean(axis=0)
+    assert 0.2 < nis[2] < 0.5
+    np.testing.assert_allclose(nis[[1, 3]], 1.0, atol=0.05)
+
+
+def test_cost_is_relative_to_the_bare_engine():
+    """The nominal filter is the engine, and who looks and thinks costs more (shared machines)."""
+    recording = draw_episodes(ENV, SHORT, "test", 3, 200)
+    seconds = {
+        name: rollout(make_agent(name), ENV, SHORT, recording).seconds
+        for name in ("fixed", "hmm-noise")
+    }
+    fixed, hmm = (
+        relative_cost(make_agent(name), ENV, SHORT, recording, 0, first)
+        for name, first in seconds.items()
+    )
+    assert 0.5 < fixed < 2.0
+    assert hmm > 1.3 * fixed
 
 
 def test_a_filled_folder_is_refused_and_untouched(tmp_path):
@@ -146,7 +226,7 @@ def test_an_interrupted_contest_resumes(tmp_path, evaluated):
     kept = {path: path.stat().st_mtime_ns for path in (folder / "scores").iterdir()}
     assert len(kept) == 2
     results = evaluate(small(), folder, processes=1, resume=True)
-    assert json.dumps(results) == json.dumps(evaluated[1])
+    assert json.dumps(bare(results)) == json.dumps(bare(evaluated[1]))
     assert all(path.stat().st_mtime_ns == stamp for path, stamp in kept.items())
 
 

@@ -127,7 +127,7 @@ def test_how_many_episodes_fit_into_memory_changes_no_bit(episodes, monkeypatch)
     whole = rollout(make_agent("ukf-joseph"), TRACKING, SHORT, episodes, trace=True)
     monkeypatch.setattr(rollouts, "HISTORY_SIZE", 3 * 41 * 81)
     parts = rollout(make_agent("ukf-joseph"), TRACKING, SHORT, episodes, trace=True)
-    for name in ("rmse", "lost", "nees", "time", "error", "factors"):
+    for name in ("rmse", "lost", "nees", "nis", "time", "error", "factors"):
         np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
 
 

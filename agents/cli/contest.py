@@ -9,6 +9,7 @@ import typer
 
 from .console import complaints, console, progress
 from .options import (
+    Against,
     Environment,
     Faults,
     Option,
@@ -52,6 +53,7 @@ def evaluate(
     tuning_trials: Annotated[
         int, typer.Option(min=0, help="Settings tried per parameter; 0: no tuning.")
     ] = 60,
+    against: Against = None,
     processes: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
     resume: Resume = False,
 ) -> None:
@@ -67,13 +69,14 @@ def evaluate(
         kwargs = env_kwargs(rate, faults, track, rinex, option)
         run_contest(
             env, kwargs, tuple(agent or _default_agents(kwargs)), episodes, seed, tuning_episodes,
-            tuning_trials, output, processes, resume,
+            tuning_trials, output, processes, resume, against,
         )  # fmt: skip
 
 
 def run_contest(
     env: str, kwargs: dict[str, Any], agents: tuple[str, ...], episodes: int, seed: int,
     tuning_episodes: int, tuning_trials: int, output: Path, processes: int, resume: bool,
+    against: str | None = None,
 ) -> None:  # fmt: skip
     """Evaluate agents, print the table and draw the figures."""
     import kfenv  # noqa: F401  (registers the environments)
@@ -81,7 +84,9 @@ def run_contest(
     from ..contest.evaluation import Contest, evaluate
     from ..contest.figures import draw_contest
 
-    contest = Contest(env, kwargs, agents, episodes, seed, tuning_episodes, tuning_trials)
+    contest = Contest(
+        env, kwargs, agents, episodes, seed, tuning_episodes, tuning_trials, against=against
+    )
     with progress() as bar:
         task = bar.add_task("agents", total=None)
         results = evaluate(

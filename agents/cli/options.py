@@ -36,6 +36,10 @@ Option = Annotated[
     list[str] | None,
     typer.Option("--option", help="KEY=VALUE, any other keyword of ENV, value in JSON."),
 ]
+Against = Annotated[
+    str | None,
+    typer.Option(help="A rival to compare every agent with, episode by episode: a name or path."),
+]
 Resume = Annotated[bool, typer.Option(help="Go on with what is in the output folder.")]
 
 

@@ -4,29 +4,25 @@ from __future__ import annotations
 
 import hashlib
 import json
-import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from ..contestants.agent import RecordingFilter
 from ..contestants.learned import Learned
 from ..contestants.registry import NAMES, make_agent
-from ..files import write_json, written_whole
-from .rollout import Scores, check_scored, draw_episodes, rollout, scenario_and_options
+from ..files import write_json
+from .cost import relative_cost
+from .executor import run_jobs
+from .rollout import check_scored, draw_episodes, rollout, scenario_and_options
+from .scores import Scores, read_cost, read_scores, read_values, scores_path, write_scores
+from .summary import NOMINAL, TUNED, summarise
 from .tuning import tune
 
-Array = NDArray[np.float64]
-
-RESAMPLES = 5000
-CONFIDENCE = 0.95
-YARDSTICKS = ("fixed", "fixed-tuned")
+# What is compared, not on what: an evaluated folder may gain agents and change the rival.
+COMPARED = ("agents", "against", "policies")
 
 
 @dataclass(frozen=True)
@@ -41,6 +37,8 @@ class Contest:
         split: which episodes the agents meet, "test" or "validation".
         tuning_episodes: the same for every agent that has parameters.
         tuning_trials: settings that each may try for each of its parameters.
+        tuning_kwargs: of the environment that agents are tuned in, if others than `env_kwargs`.
+        against: an agent that all are compared with besides the yardsticks.
     """
 
     env_id: str
@@ -51,6 +49,8 @@ class Contest:
     tuning_episodes: int = 32
     tuning_trials: int = 60
     split: str = "test"
+    tuning_kwargs: dict[str, Any] | None = None
+    against: str | None = None
 
     def __post_init__(self) -> None:
         for name, least in (("episodes", 2), ("tuning_episodes", 1), ("tuning_trials", 0)):
@@ -67,9 +67,15 @@ class Contest:
 
     @property
     def all_agents(self) -> tuple[str, ...]:
-        """The yardsticks first; `fixed-tuned` only where there is tuning."""
-        yardsticks = YARDSTICKS if self.tuning_trials > 0 else YARDSTICKS[:1]
-        return tuple(dict.fromkeys((*yardsticks, *self.agents)))
+        """The yardsticks first, the tuned one only where there is tuning; then the rival."""
+        yardsticks = (NOMINAL, TUNED) if self.tuning_trials > 0 else (NOMINAL,)
+        rival = () if self.against is None else (self.against,)
+        return tuple(dict.fromkeys((*yardsticks, *rival, *self.agents)))
+
+    @property
+    def tuning_place(self) -> tuple[str, dict[str, Any]]:
+        """The environment that agents are tuned in, and its keywords."""
+        return self.env_id, self.env_kwargs if self.tuning_kwargs is None else self.tuning_kwargs
 
 
 def evaluate(
@@ -79,11 +85,16 @@ def evaluate(
     resume: bool = False,
     started: Callable[[int], None] = lambda total: None,
     advance: Callable[[str], None] = lambda name: None,
+    tuned: Path | None = None,
 ) -> list[dict[str, Any]]:
     """Run a contest and write ``results.json`` and each agent's scores into a folder.
 
     ``fixed`` and (with tuning) ``fixed-tuned`` always take part, as yardsticks. An
     agent's scores are written when it is done, so that resuming repeats none of them.
+    A folder may gain agents by resuming with more of them.
+
+    Args:
+        tuned: folder of a contest with the same tuning, whose parameters are taken over.
 
     Raises:
         FileExistsError: if the folder holds anything and ``resume`` is not set.
@@ -92,19 +103,37 @@ def evaluate(
     _complain_first(contest)
     _admit(output, contest, resume)
     names = contest.all_agents
-    todo = [name for name in names if not _scores_path(output, name).exists()]
+    todo = [name for name in names if not scores_path(output, name).exists()]
     started(len(names))
     for name in set(names) - set(todo):
         advance(name)
-    for name, (scores, values) in _run_all(contest, todo, processes):
-        _write_scores(_scores_path(output, name), scores, values)
+    for name, done in run_jobs(partial(run_agent, contest, tuned=tuned), todo, processes):
+        write_scores(output, name, *done)
         advance(name)
-    scores = {make_agent(name).name: read_scores(output, name) for name in names}
-    results = [
-        _summary(contest, make_agent(name).name, scores) | {"given_as": name} for name in names
-    ]
+    results = _results(contest, output)
     write_json(output / "results.json", results)
     return results
+
+
+def _results(contest: Contest, output: Path) -> list[dict[str, Any]]:
+    """What the stored scores of the contest's agents amount to."""
+    given = {make_agent(name).name: name for name in contest.all_agents}
+    scores = {name: read_scores(output, path) for name, path in given.items()}
+    scenario, _ = scenario_and_options(contest.env_id, contest.env_kwargs)
+    rival = None if contest.against is None else make_agent(contest.against).name
+    return [
+        {
+            "agent": name,
+            "env": contest.env_id,
+            "env_kwargs": contest.env_kwargs,
+            "seed": contest.seed,
+            "episodes": len(scores[name].rmse),
+            "episodes_asked": contest.episodes,  # a real log may have fewer
+        }
+        | summarise(name, scores, rival, scenario.sensor.groups, contest.seed)
+        | {"cost": read_cost(output, path), "given_as": path}
+        for name, path in given.items()
+    ]
 
 
 def _complain_first(contest: Contest) -> None:
@@ -114,7 +143,9 @@ def _complain_first(contest: Contest) -> None:
     if scenario.recorded(contest.split, 1) is not None:
         check_log(*place, contest.split, contest.seed, contest.episodes)
         if contest.tuning_trials > 0:
-            tuning = draw_episodes(*place, "tuning", contest.seed, contest.tuning_episodes)
+            tuning = draw_episodes(
+                *contest.tuning_place, "tuning", contest.seed, contest.tuning_episodes
+            )
             check_scored(tuning)
     episode = draw_episodes(*place, contest.split, contest.seed, 1)
     for contestant in map(make_agent, contest.all_agents):
@@ -139,79 +170,30 @@ def check_log(
     check_scored(windows)
 
 
-def run_agent(contest: Contest, name: str) -> tuple[Scores, dict[str, float]]:
-    """Tune one agent on the tuning episodes and score it on the test episodes."""
+def run_agent(
+    contest: Contest, name: str, tuned: Path | None = None
+) -> tuple[Scores, dict[str, float], float | None]:
+    """Tune one agent on the tuning episodes and score it on the test episodes.
+
+    Args:
+        tuned: folder of a contest whose parameters are taken over instead.
+
+    Returns:
+        Its scores, parameters and relative cost.
+    """
     agent = make_agent(name)
-    options = (contest.env_id, contest.env_kwargs)
-    if contest.tuning_trials > 0:
-        recording = draw_episodes(*options, "tuning", contest.seed, contest.tuning_episodes)
-        agent = tune(agent, *options, recording, contest.tuning_trials, contest.seed)
-    recording = draw_episodes(*options, contest.split, contest.seed, contest.episodes)
-    return rollout(agent, *options, recording, contest.seed), agent.values
-
-
-def _run_all(contest: Contest, names: Sequence[str], processes: int):
-    """Yield each agent's scores as they come, from worker processes if more than one."""
-    if processes < 2 or len(names) < 2:
-        for name in names:
-            yield name, run_agent(contest, name)
-        return
-    # Fresh processes: a forked one would inherit threads of the progress display. They
-    # leave Ctrl-C to this one, which ends them on its way out.
-    ignore = (signal.SIGINT, signal.SIG_IGN)
-    with get_context("spawn").Pool(processes, signal.signal, ignore) as pool:
-        yield from pool.imap_unordered(partial(_named_run, contest), names)
-
-
-def _named_run(contest: Contest, name: str) -> tuple[str, tuple[Scores, dict[str, float]]]:
-    return name, run_agent(contest, name)
-
-
-def _summary(contest: Contest, name: str, scores: dict[str, Scores]) -> dict[str, Any]:
-    own = scores[name]
-    nees = own.nees[~own.lost]
-    improvement = 1.0 - own.rmse / scores["fixed"].rmse
-    low, high = median_interval(improvement, contest.seed)
-    rmse_low, rmse_high = median_interval(own.rmse, contest.seed)
-    summary = {
-        "agent": name,
-        "env": contest.env_id,
-        "env_kwargs": contest.env_kwargs,
-        "seed": contest.seed,
-        "episodes": len(own.rmse),
-        "episodes_asked": contest.episodes,  # a real log may have fewer
-        "rmse": float(own.rmse.mean()),
-        "rmse_std": float(own.rmse.std(ddof=1)),
-        "rmse_median": float(np.median(own.rmse)),
-        "rmse_median_ci_low": rmse_low,
-        "rmse_median_ci_high": rmse_high,
-        "rmse_p95": float(np.percentile(own.rmse, 95)),
-        "track_loss": float(own.lost.mean()),
-        "anees": float(np.mean(nees)) if len(nees) > 0 and np.isfinite(nees).all() else None,
-        "improvement_over_fixed": float(np.median(improvement)),
-        "ci_low": low,
-        "ci_high": high,
-    }
-    if "fixed-tuned" in scores:
-        difference = own.rmse - scores["fixed-tuned"].rmse
-        low, high = median_interval(difference, contest.seed)
-        summary["difference_to_fixed_tuned"] = float(np.median(difference))
-        summary["difference_ci_low"], summary["difference_ci_high"] = low, high
-    return summary
-
-
-def median_interval(values: Array, seed: int) -> tuple[float, float]:
-    """Percentile-bootstrap confidence interval of the median over episodes."""
-    if np.ptp(values) == 0.0:
-        return float(values[0]), float(values[0])
-    from scipy.stats import bootstrap
-
-    result = bootstrap(
-        (values,), np.median, n_resamples=RESAMPLES, confidence_level=CONFIDENCE,
-        method="percentile", rng=np.random.default_rng(seed),
-    )  # fmt: skip
-    interval = result.confidence_interval
-    return float(interval.low), float(interval.high)
+    if tuned is not None:
+        agent = agent.with_values(read_values(tuned, name))
+    elif contest.tuning_trials > 0:
+        recording = draw_episodes(
+            *contest.tuning_place, "tuning", contest.seed, contest.tuning_episodes
+        )
+        agent = tune(agent, *contest.tuning_place, recording, contest.tuning_trials, contest.seed)
+    place = (contest.env_id, contest.env_kwargs)
+    recording = draw_episodes(*place, contest.split, contest.seed, contest.episodes)
+    scores = rollout(agent, *place, recording, contest.seed)
+    cost = relative_cost(agent, *place, recording, contest.seed, scores.seconds)
+    return scores, agent.values, cost
 
 
 def _admit(output: Path, contest: Contest, resume: bool) -> None:
@@ -225,18 +207,27 @@ def _admit(output: Path, contest: Contest, resume: bool) -> None:
             raise FileExistsError(
                 f"The folder {output} is not empty: name another, or go on with --resume."
             )
-        if not path.exists() or json.loads(path.read_text()) != content:
+        held = json.loads(path.read_text()) if path.exists() else {"policies": {}}
+        if not _continues(held, content):
             raise ValueError(
                 f"The folder {output} holds another contest: name another folder, or repeat the "
                 "options that it was begun with."
             )
+        content["policies"] = held["policies"] | content["policies"]
     output.mkdir(parents=True, exist_ok=True)
     write_json(path, content)
 
 
+def _continues(held: dict[str, Any], content: dict[str, Any]) -> bool:
+    """Whether a contest compares on the same as the one held, with the same policies."""
+    one, other = ({k: v for k, v in c.items() if k not in COMPARED} for c in (held, content))
+    common = held["policies"].keys() & content["policies"].keys()
+    return one == other and all(held["policies"][k] == content["policies"][k] for k in common)
+
+
 def _digests(contest: Contest) -> dict[str, str]:
     """A hash of each policy's numbers, so that a changed policy is another contest."""
-    agents = [make_agent(name) for name in contest.agents]
+    agents = [make_agent(name) for name in contest.all_agents]
     digests = {}
     for agent in agents:
         if isinstance(agent, Learned):
@@ -245,28 +236,3 @@ def _digests(contest: Contest) -> dict[str, str]:
                 digest.update(array.tobytes())
             digests[agent.name] = digest.hexdigest()
     return digests
-
-
-def _scores_path(output: Path, name: str) -> Path:
-    return output / "scores" / f"{make_agent(name).name}.npz"
-
-
-def _write_scores(path: Path, scores: Scores, values: dict[str, float]) -> None:
-    path.parent.mkdir(exist_ok=True)
-    with written_whole(path) as file:
-        np.savez(
-            file, rmse=scores.rmse, lost=scores.lost, nees=scores.nees,
-            parameters=list(values), values=list(values.values()),
-        )  # fmt: skip
-
-
-def read_scores(output: Path, name: str) -> Scores:
-    """The stored scores of an agent."""
-    with np.load(_scores_path(output, name)) as file:
-        return Scores(file["rmse"], file["lost"], file["nees"])
-
-
-def read_values(output: Path, name: str) -> dict[str, float]:
-    """The parameters that an agent was scored with."""
-    with np.load(_scores_path(output, name)) as file:
-        return dict(zip(file["parameters"].tolist(), file["values"].tolist(), strict=True))

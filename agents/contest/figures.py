@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 
 from ..contestants.registry import make_agent
 from ..plotting import COLOURS, clean, save, shade
-from .evaluation import Contest, read_scores, read_values
+from .evaluation import Contest
 from .rollout import draw_episodes, rollout, scenario_and_options
+from .scores import read_scores, read_values
 
 
 def draw_contest(contest: Contest, results: Sequence[dict[str, Any]], output: Path) -> list[Path]:

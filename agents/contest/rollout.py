@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
@@ -21,6 +21,8 @@ from kfenv.filters.results import History
 from kfenv.scenarios.recording import Recording
 
 from ..contestants.agent import Agent, Briefing, Contestant, RecordingFilter
+from .scores import Scores
+from .watch import Stopwatch, WatchedFilter
 
 Array = NDArray[np.float64]
 
@@ -69,29 +71,6 @@ def draw_episodes(
     return recorded or scenario.sample(episode_rngs(split, seed, episodes))
 
 
-@dataclass(frozen=True)
-class Scores:
-    """What a contestant achieved on N episodes.
-
-    Attributes:
-        rmse: (N,) position RMSE over the whole episode, m; a lost track counts the loss
-            distance for every remaining instant.
-        lost: (N,) whether the track was lost.
-        nees: (N,) mean position NEES per degree of freedom until the end or the loss; NaN
-            where a covariance on the way was not positive definite.
-        time: (D,) end of each decision, s, if traced; every instant of a recording filter.
-        error: (D, N) position error then, m, if traced.
-        factors: (D, N, K) all knobs' factors, if traced.
-    """
-
-    rmse: Array
-    lost: NDArray[np.bool_]
-    nees: Array
-    time: Array | None = None
-    error: Array | None = None
-    factors: Array | None = None
-
-
 def rollout(
     contestant: Contestant,
     env_id: str,
@@ -133,13 +112,16 @@ def _decide(
     """All episodes in lock-step, an action from the agent per decision."""
     options = replace(options, recording=recording, reward="rmse", **agent.own_options)
     core = Core(scenario, options, len(recording), recording.time, has_truth=True)
+    watched = WatchedFilter(core.filter, scenario.sensor, core.batch, agent.sees != "nothing")
+    core.filter, watch = watched, watched.watch
     core.load(np.arange(len(recording)), recording)
     shown = recording if agent.clairvoyant else None
     agent.reset(Briefing(core.knobs, scenario, core.batch, seed, shown, core.interval))
     running, lost = np.ones(core.batch, bool), np.zeros(core.batch, bool)
     times, errors, factors = [], [], []
     while running.any():
-        action = np.clip(agent.act(core.observation(), _without_truth(core)), -1.0, 1.0)
+        seen = watch(core.observation) if agent.sees == "observation" else core.observation()
+        action = np.clip(watch(agent.act, seen, _without_truth(core)), -1.0, 1.0)
         _, gone, ended = core.step(action, running)
         lost |= gone
         running &= ~(gone | ended)
@@ -149,18 +131,19 @@ def _decide(
             factors.append(core.factors.copy())
     totals = core.total_scored, core.total_squared_error, core.total_nees
     traces = (np.array(times), np.array(errors), np.array(factors)) if trace else ()
-    return _settle(scenario, recording, lost, *totals, *traces)
+    told = watched.nis, watch.seconds
+    return _settle(scenario, recording, lost, *totals, *told, *traces)
 
 
 def _settle(
     scenario: Any, recording: Recording, lost: NDArray[np.bool_], scored: Array,
-    squared_error: Array, nees: Array, *traces: Array,
+    squared_error: Array, nees: Array, nis: Array, seconds: float, *traces: Array,
 ) -> Scores:  # fmt: skip
     """The scores from sums over the `scored` instants until the end, or the loss."""
     all_scored = recording.scored_instants
     squared = squared_error + (all_scored - scored) * scenario.lost_distance**2
     nees = nees / np.maximum(scored, 1.0) / 3.0
-    return Scores(np.sqrt(squared / all_scored), lost, nees, *traces)
+    return Scores(np.sqrt(squared / all_scored), lost, nees, nis, seconds, *traces)
 
 
 def _filter(
@@ -177,19 +160,24 @@ def _filter(
     parts = []
     for begin in range(0, len(recording), chunk):
         part = recording[begin : begin + chunk]
-        told = replace(part, truth=None, true_noise=None, faults=())
-        parts.append(_score(contestant.filter(scenario, options, told), scenario, part, trace))
-    rmse, lost, nees = (
-        np.concatenate([getattr(p, name) for p in parts]) for name in ("rmse", "lost", "nees")
-    )
+        told, watch = replace(part, truth=None, true_noise=None, faults=()), Stopwatch()
+        history = watch(contestant.filter, scenario, options, told)
+        parts.append(_score(history, scenario, part, watch.seconds, trace))
+    joined = [
+        np.concatenate([getattr(p, name) for p in parts])
+        for name in ("rmse", "lost", "nees", "nis")
+    ]
+    joined.append(sum(p.seconds for p in parts))
     if not trace:
-        return Scores(rmse, lost, nees)
+        return Scores(*joined)
     errors, factors = (np.concatenate([getattr(p, name) for p in parts], axis=1)
                        for name in ("error", "factors"))  # fmt: skip
-    return Scores(rmse, lost, nees, recording.time, errors, factors)
+    return Scores(*joined, recording.time, errors, factors)
 
 
-def _score(history: History, scenario: Any, recording: Recording, trace: bool) -> Scores:
+def _score(
+    history: History, scenario: Any, recording: Recording, seconds: float, trace: bool
+) -> Scores:
     """Book a filter's history instant by instant, as `Core` books its own."""
     batch, steps = history.mean.shape[:2]
     place = list(scenario.motion.position)
@@ -215,7 +203,17 @@ def _score(history: History, scenario: Any, recording: Recording, trace: bool) -
         errors.append(error.copy())
     knobs = len(knobs_of(scenario.sensor.groups))
     traces = (recording.time, np.array(errors), np.ones((steps, batch, knobs))) if trace else ()
-    return _settle(scenario, recording, lost, count, squared, nees_sum, *traces)
+    told = _told_nis(history, scenario, recording), seconds
+    return _settle(scenario, recording, lost, count, squared, nees_sum, *told, *traces)
+
+
+def _told_nis(history: History, scenario: Any, recording: Recording) -> Array:
+    """NIS per channel that arrived (B, 1 + G); a history does not tell that of the groups."""
+    nis = np.full((len(recording), 1 + len(scenario.sensor.groups)), np.nan)
+    arrived = np.where(np.isnan(history.nis), 0, (~np.isnan(recording.measurement)).sum(axis=2))
+    count = arrived.sum(axis=1)
+    nis[:, 0] = np.where(count > 0, np.nansum(history.nis, axis=1) / np.maximum(count, 1), np.nan)
+    return nis
 
 
 def _without_truth(core: Core) -> dict[str, Any]:

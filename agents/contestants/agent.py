@@ -106,10 +106,13 @@ class Agent(Contestant, ABC):
     Class attributes:
         all_knobs: whether the agent wants every knob, whatever the environment exposes.
         clairvoyant: whether it may look into the recording.
+        sees: what it decides by and so must pay for: "observation", the pending "innovation"
+            and what else `act` finds in info, or "nothing" of both.
     """
 
     all_knobs: ClassVar[bool] = True
     clairvoyant: ClassVar[bool] = False
+    sees: ClassVar[str] = "innovation"
 
     def reset(self, briefing: Briefing) -> None:
         """Forget the last briefing."""

@@ -24,6 +24,7 @@ class Clairvoyant(Agent):
 
     parameters = (Parameter("process_noise", 0.05, 200.0, 1.0),)
     clairvoyant = True
+    sees = "nothing"
 
     def reset(self, briefing: Briefing) -> None:
         """See also `Agent.reset`.

@@ -16,12 +16,16 @@ from .agent import Agent, Array, Briefing, Parameter
 class Fixed(Agent):
     """The nominal filter: all knobs at one."""
 
+    sees = "nothing"
+
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
         return np.zeros((self.briefing.batch, len(self.briefing.knobs)))
 
 
 class FixedTuned(Agent):
     """One setting of all knobs, optimised on training episodes and then held."""
+
+    sees = "nothing"
 
     def tunable(self, knobs: Sequence[Knob]) -> tuple[Parameter, ...]:
         """Every knob, over its whole range."""
@@ -37,6 +41,7 @@ class Random(Agent):
     """Uniform actions: the floor."""
 
     all_knobs = False
+    sees = "nothing"
 
     def reset(self, briefing: Briefing) -> None:
         super().reset(briefing)

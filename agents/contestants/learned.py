@@ -24,6 +24,7 @@ class Learned(Agent):
     """
 
     all_knobs = False
+    sees = "observation"
 
     def __init__(self, path: str | Path, name: str | None = None) -> None:
         path = Path(path)

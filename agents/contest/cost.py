@@ -1,0 +1,61 @@
+"""What contestants cost: CPU time relative to the bare engine's, within one run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from kfenv.filters.engine import Engine
+from kfenv.filters.replay import replay
+from kfenv.scenarios.recording import Recording
+
+from ..contestants.agent import Contestant
+from .rollout import rollout, scenario_and_options
+from .watch import WatchedFilter
+
+LEAST = 20  # episodes: with fewer in lock-step Python's own time counts for more than theirs
+REPEATS = 2
+ENOUGH = 3.0  # s of CPU time, after which nothing is repeated
+
+
+def relative_cost(
+    contestant: Contestant,
+    env_id: str,
+    env_kwargs: dict[str, Any],
+    recording: Recording,
+    seed: int,
+    first: float,
+) -> float | None:
+    """CPU time of filtering and deciding over that of the engine's predictions and updates.
+
+    Both on the same episodes in lock-step, in this process and in turn, so that the ratio
+    tells little of the machine; the least of several times, so that it tells little of its
+    load. Scoring is not counted, and looking at the innovation only for who sees it.
+
+    Args:
+        first: CPU time of a roll-out that is over, s.
+
+    Returns:
+        The ratio; None if the episodes are too few to tell.
+    """
+    if len(recording) < LEAST:
+        return None
+    own, bare = [first], [_bare(env_id, env_kwargs, recording)]
+    while len(own) <= REPEATS and sum(own) < ENOUGH:
+        own.append(rollout(contestant, env_id, env_kwargs, recording, seed).seconds)
+        bare.append(_bare(env_id, env_kwargs, recording))
+    return min(own) / min(bare)
+
+
+def _bare(env_id: str, env_kwargs: dict[str, Any], recording: Recording) -> float:
+    """CPU time of the engine's predictions and updates, s."""
+    scenario, options = scenario_and_options(env_id, env_kwargs)
+    engine = Engine(scenario.motion, scenario.sensor, options.kappa)
+    watched = WatchedFilter(engine, scenario.sensor, len(recording))
+    ones = np.ones(len(recording))
+    replay(
+        watched, None, recording.mean, recording.factor, recording.time, recording.motion_inputs,
+        recording.sensor_inputs, recording.measurement, recording.noise, ones, ones, keep=False,
+    )  # fmt: skip
+    return watched.watch.seconds

@@ -1,0 +1,82 @@
+"""What a contestant achieved, in memory and on disk."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..contestants.registry import make_agent
+from ..files import written_whole
+
+Array = NDArray[np.float64]
+STORED = ("rmse", "lost", "nees", "nis", "seconds")
+
+
+@dataclass(frozen=True)
+class Scores:
+    """What a contestant achieved on N episodes.
+
+    Attributes:
+        rmse: (N,) position RMSE over the whole episode, m; a lost track counts the loss
+            distance for every remaining instant.
+        lost: (N,) whether the track was lost.
+        nees: (N,) mean position NEES per degree of freedom until the end or the loss; NaN
+            where a covariance on the way was not positive definite.
+        nis: (N, 1 + G) of the updates until then: the mean NIS per channel that arrived; then,
+            for each group of channels, the mean of nu^2 / S. NaN where nothing arrived, and in
+            the groups where a filter does not tell.
+        seconds: CPU time of filtering and deciding, without scoring.
+        time: (D,) end of each decision, s, if traced; every instant of a recording filter.
+        error: (D, N) position error then, m, if traced.
+        factors: (D, N, K) all knobs' factors, if traced.
+    """
+
+    rmse: Array
+    lost: NDArray[np.bool_]
+    nees: Array
+    nis: Array
+    seconds: float
+    time: Array | None = None
+    error: Array | None = None
+    factors: Array | None = None
+
+
+def scores_path(output: Path, name: str) -> Path:
+    """Where a contest's folder holds the scores of an agent, given by name or path."""
+    return output / "scores" / f"{make_agent(name).name}.npz"
+
+
+def write_scores(
+    output: Path, name: str, scores: Scores, values: dict[str, float], cost: float | None
+) -> None:
+    """Store an agent's scores, the parameters that it had, and its relative cost."""
+    path = scores_path(output, name)
+    path.parent.mkdir(exist_ok=True)
+    with written_whole(path) as file:
+        np.savez(
+            file, **{field: getattr(scores, field) for field in STORED},
+            cost=np.nan if cost is None else cost,
+            parameters=list(values), values=list(values.values()),
+        )  # fmt: skip
+
+
+def read_scores(output: Path, name: str) -> Scores:
+    """The stored scores of an agent."""
+    with np.load(scores_path(output, name)) as file:
+        *arrays, seconds = (file[field] for field in STORED)
+        return Scores(*arrays, float(seconds))
+
+
+def read_values(output: Path, name: str) -> dict[str, float]:
+    """The parameters that an agent was scored with."""
+    with np.load(scores_path(output, name)) as file:
+        return dict(zip(file["parameters"].tolist(), file["values"].tolist(), strict=True))
+
+
+def read_cost(output: Path, name: str) -> float | None:
+    """An agent's CPU time relative to the bare engine's, if it was measured."""
+    with np.load(scores_path(output, name)) as file:
+        return None if np.isnan(file["cost"]) else float(file["cost"])
