@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from kfenv.filters.engine import Engine
 from kfenv.filters.replay import replay
 from kfenv.scenarios.recording import Recording
@@ -53,9 +51,5 @@ def _bare(env_id: str, env_kwargs: dict[str, Any], recording: Recording) -> floa
     scenario, options = scenario_and_options(env_id, env_kwargs)
     engine = Engine(scenario.motion, scenario.sensor, options.kappa)
     watched = WatchedFilter(engine, scenario.sensor, len(recording))
-    ones = np.ones(len(recording))
-    replay(
-        watched, None, recording.mean, recording.factor, recording.time, recording.motion_inputs,
-        recording.sensor_inputs, recording.measurement, recording.noise, ones, ones, keep=False,
-    )  # fmt: skip
+    replay(watched, None, recording, keep=False)
     return watched.watch.seconds

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kfenv.filters.results import OK, Prediction, Update
+from kfenv.filters.protocol import Episodes, Filter, Knobs, Measurement, Status
+from kfenv.filters.results import OK, Prediction, Run, Update
 from kfenv.models.model import Sensor
 
 Array = NDArray[np.float64]
@@ -39,7 +40,7 @@ class WatchedFilter:
         looks: whether looking at a pending innovation counts as work.
     """
 
-    def __init__(self, filter: Any, sensor: Sensor, batch: int, looks: bool = True) -> None:
+    def __init__(self, filter: Filter, sensor: Sensor, batch: int, looks: bool = True) -> None:
         self.filter, self.watch, self._looks = filter, Stopwatch(), looks
         groups = np.array(sensor.group_of_channel)
         self._membership = np.eye(len(sensor.groups))[groups]  # (m, G)
@@ -61,17 +62,21 @@ class WatchedFilter:
             return self.watch(self.filter.innovate, *arguments)
         return self.filter.innovate(*arguments)
 
-    def update(self, *arguments: Any) -> Update:
+    def update(
+        self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status,
+        *more: Any,
+    ) -> Update:  # fmt: skip
         """As the filter's, and booked."""
-        result = self.watch(self.filter.update, *arguments)
-        self._book(result, status=arguments[6])
+        work = self.filter.update
+        result = self.watch(work, prediction, knobs, measurement, status, *more)
+        self._book(result, status)
         return result
 
-    def run(self, *arguments: Any) -> Any:
+    def run(self, episodes: Episodes, knobs: Knobs | None = None) -> Run:
         """As the filter's, unwatched."""
-        return self.filter.run(*arguments)
+        return self.filter.run(episodes, knobs)
 
-    def _book(self, update: Update, status: NDArray[np.int64]) -> None:
+    def _book(self, update: Update, status: Status) -> None:
         """Take in what the filters that worked say of the channels that arrived."""
         present = ~np.isnan(update.innovation) & (status == OK)[:, None]
         with np.errstate(all="ignore"):  # idle filters hold anything
