@@ -100,4 +100,10 @@ def with_interval(values: Array, unit: str = "m") -> str:
     """Mean with its 95 % interval, and how many lost runs it leaves out, for a table."""
     lost = int(np.sum(~np.isfinite(values)))
     without = f" without {lost} of {len(values)} runs, lost" if lost else ""
-    return "{:.3g} ({:.3g} to {:.3g}) {}".format(*mean_and_interval(values), unit) + without
+    mean, low, high = map(digits, mean_and_interval(values))
+    return f"{mean} ({low} to {high}) {unit}{without}"
+
+
+def digits(value: float) -> str:
+    """Three significant digits, or all that stand before the point, for a table."""
+    return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"

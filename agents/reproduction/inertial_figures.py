@@ -1,9 +1,10 @@
-"""Figures of inertial navigation: estimates with zooms, their errors, RMSE over the runs."""
+"""Figures of inertial navigation: estimates with zooms and errors, RMSE over the runs."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from math import degrees
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,119 +12,121 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ..plotting import COLOURS, clean
-from .figures import DASHES
 
 Array = NDArray[np.float64]
 Span = tuple[float, float]
+Panel = tuple[str, tuple[int, ...]]  # what is drawn, and the channels that it sums over
 
-AXES = {
-    "velocity": ("north, m/s", "east, m/s", "down, m/s"),
-    "attitude": ("roll, deg", "pitch, deg", "yaw, deg"),
-}
-GROUPS = ("position, m", "velocity, m/s", "attitude, deg")
+CHANNELS = (
+    "north, m", "east, m", "down, m",
+    "velocity north, m/s", "velocity east, m/s", "velocity down, m/s",
+    "roll, deg", "pitch, deg", "yaw, deg",
+)  # fmt: skip
+DRAWN = {8: "yaw", 7: "pitch", 6: "roll",
+         3: "velocity_north", 4: "velocity_east", 5: "velocity_down"}  # fmt: skip
+PER_AXIS: tuple[Panel, ...] = tuple((name, (i,)) for i, name in enumerate(CHANNELS))
+IN_3D: tuple[Panel, ...] = (
+    ("position, m", (0, 1, 2)), ("velocity, m/s", (3, 4, 5)), ("attitude, deg", (6, 7, 8))
+)  # fmt: skip
 SHADES = {"outliers": "#999999", "unit fault": "#D55E00"}
+KINDS = ("CKF", "ACKF", "GSCKF", "GSACKF", "GSACKF, β = 3")
 
 
-def estimates(
-    quantity: str,
-    time: Array,
-    truth: Array,
-    fixes: Array,
-    paths: Mapping[str, Array],
-    outliers: Span,
-    zoom: Span,
-) -> Figure:
-    """Velocity or attitude of one run, whole on the left and a stretch of it on the right.
+class Run(NamedTuple):
+    """One channel of one run, SI."""
 
-    Args:
-        quantity: ``"velocity"`` or ``"attitude"``.
-        truth, fixes: (T, 3), SI; NaN where no fix came.
-        paths: estimates (T, 3) by filter.
-        outliers, zoom: s.
+    time: Array  # (T,)
+    truth: Array  # (T,)
+    fixes: Array  # (T,) NaN where none came
+    estimates: Mapping[str, Array]  # (T,) by filter
+    error_time: Array  # (K,)
+    errors: Mapping[str, Array]  # (K,) by filter
+
+
+def estimates(channel: int, run: Run, outliers: Span, zoom: Span) -> Figure:
+    """An angle or a velocity of one run: whole, a stretch of it, and the errors, log beyond one.
+
+    Filters without a Gaussian sum stand on the left, those with one on the right; an extended
+    filter is a broad line, and its cubature twin a thin one upon it.
     """
-    figure = Figure((11.0, 7.5), layout="constrained")
-    unit = _unit(quantity)
-    for axis, (whole, close) in enumerate(figure.subplots(3, 2, sharex="col")):
+    figure = Figure((12.0, 8.5), layout="constrained")
+    unit, name = _unit(channel), CHANNELS[channel]
+    columns = figure.subplots(3, 2).T
+    for (whole, close, error), sums in zip(columns, (False, True), strict=True):
+        labels = [label for label in run.estimates if label.startswith("GS") == sums]
         for axes in (whole, close):
-            seen = np.isfinite(fixes[:, axis])
-            axes.plot(time[seen], unit * fixes[seen, axis], ".", color="#bbbbbb", ms=3,
-                      label="GNSS")  # fmt: skip
-            axes.plot(time, unit * truth[:, axis], color="black", lw=2.4, label="truth")
-            for number, (label, path) in enumerate(paths.items()):
-                axes.plot(time, unit * path[:, axis], lw=1.3, label=label, **_style(number))
-            clean(axes)
-        _shade(whole, {"outliers": outliers})
-        shown = np.stack([truth[:, axis], *(path[:, axis] for path in paths.values())])
-        _fit(whole, unit * shown)
-        near = (time >= zoom[0]) & (time <= zoom[1])
+            _follow(axes, run, labels, unit)
+        for label in labels:
+            error.plot(run.error_time, unit * run.errors[label], label=label, **_twin_style(label))
+        near = (run.time >= zoom[0]) & (run.time <= zoom[1])
         close.set_xlim(*zoom)
-        _fit(close, unit * shown[:, near])
-        whole.set_ylabel(AXES[quantity][axis])
-    for axes in (whole, close):
-        axes.set_xlabel("time, s")
-    _legend(figure, whole)
+        for axes, when in ((whole, slice(None)), (close, near)):
+            shown = [run.truth[when], *(run.estimates[label][when] for label in labels)]
+            _fit(axes, unit * np.stack(shown))
+        error.axhline(0.0, color="black", lw=0.8)
+        error.set_yscale("symlog", linthresh=1.0)
+        error.set_xlabel("time, s")
+        clean(error)
+        for axes in (whole, error):
+            axes.set_xlim(run.time[0], run.time[-1])
+            _shade(axes, {"outliers": outliers})
+        whole.set_title("Gaussian sums" if sums else "no Gaussian sum", loc="left", fontsize=10)
+    columns[1, 2].sharey(columns[0, 2])
+    for axes, label in zip(columns[0], (name, name, f"error of {name}"), strict=True):
+        axes.set_ylabel(label)
+    _legend(figure, columns[:, 0])
     return figure
 
 
-def errors(quantity: str, time: Array, paths: Mapping[str, Array], outliers: Span) -> Figure:
-    """Errors of one run's velocity or attitude, (K, 3) by filter; symmetric-logarithmic."""
-    figure = Figure((9.0, 7.0), layout="constrained")
-    unit = _unit(quantity)
-    panels = figure.subplots(3, sharex=True)
-    for axis, axes in enumerate(panels):
-        for number, (label, error) in enumerate(paths.items()):
-            axes.plot(time, unit * error[:, axis], lw=1.3, label=label, **_style(number))
-        axes.axhline(0.0, color="black", lw=0.8)
-        axes.set_yscale("symlog", linthresh=1.0)
-        axes.set_ylabel(f"error {AXES[quantity][axis]}")
-        _shade(axes, {"outliers": outliers})
-        clean(axes)
-    panels[-1].set_xlabel("time, s")
-    _legend(figure, panels[-1])
-    return figure
-
-
-def rmse(time: Array, runs: Mapping[str, Array], spans: Mapping[str, Span]) -> Figure:
-    """RMSE over the runs of position, velocity and attitude against time.
+def rmse(
+    time: Array, runs: Mapping[str, Array], spans: Mapping[str, Span], panels: Sequence[Panel]
+) -> Figure:
+    """RMSE over the runs against time, three panels in a column.
 
     An extended filter is a broad line, and its cubature twin a thin one upon it.
 
     Args:
         runs: errors (N, K, 9) by filter, SI.
         spans: what to shade, s.
+        panels: `PER_AXIS` or `IN_3D`.
     """
-    figure = Figure((9.0, 8.5), layout="constrained")
-    panels = figure.subplots(3, sharex=True)
-    for group, axes in enumerate(panels):
-        unit = _unit("attitude") if group == 2 else 1.0
+    columns = len(panels) // 3
+    figure = Figure((5.0 + 4.0 * columns, 8.5), layout="constrained")
+    grid = figure.subplots(3, columns, sharex=True, sharey="row").ravel()
+    for axes, (name, channels) in zip(grid, panels, strict=True):
         for label, error in runs.items():
-            squared = np.sum(error[..., 3 * group : 3 * group + 3] ** 2, axis=2)
-            rms = unit * np.sqrt(np.mean(squared, axis=0))
-            axes.plot(time, rms, label=label, **_twin_style(label, list(runs)))
+            squared = np.sum(error[..., list(channels)] ** 2, axis=2)
+            rms = _unit(channels[0]) * np.sqrt(np.mean(squared, axis=0))
+            axes.plot(time, rms, label=label, **_twin_style(label))
         axes.set_yscale("log")
-        axes.set_ylabel(f"RMSE of {GROUPS[group]}")
+        axes.set_ylabel(f"RMSE of {name}")
         _shade(axes, spans)
         clean(axes)
-    panels[-1].set_xlabel("time, s")
-    _legend(figure, panels[-1])
+    for axes in grid[-columns:]:
+        axes.set_xlabel("time, s")
+    _legend(figure, grid[:1])
     return figure
 
 
-def _unit(quantity: str) -> float:
-    return 180.0 / np.pi if quantity == "attitude" else 1.0
+def _follow(axes: Axes, run: Run, labels: Sequence[str], unit: float) -> None:
+    """Fixes, truth and estimates of one channel."""
+    seen = np.isfinite(run.fixes)
+    axes.plot(run.time[seen], unit * run.fixes[seen], ".", color="#bbbbbb", ms=3, label="GNSS")
+    axes.plot(run.time, unit * run.truth, color="black", lw=2.4, label="truth")
+    for label in labels:
+        axes.plot(run.time, unit * run.estimates[label], label=label, **_twin_style(label))
+    clean(axes)
 
 
-def _style(number: int) -> dict[str, Any]:
-    """Colour and dashes of an estimate beside the truth, which is black."""
-    return {"color": COLOURS[1 + number], "ls": DASHES[number % len(DASHES)]}
+def _unit(channel: int) -> float:
+    return degrees(1.0) if channel >= 6 else 1.0
 
 
-def _twin_style(label: str, labels: list[str]) -> dict[str, Any]:
-    """Of a filter among these, one colour for an extended filter and its cubature twin."""
-    kinds = list(dict.fromkeys(name.replace("EKF", "CKF") for name in labels))
-    colour = COLOURS[kinds.index(label.replace("EKF", "CKF"))]
-    broad = {"lw": 4.0, "alpha": 0.35} if "EKF" in label else {"lw": 1.3}
-    return {"color": colour} | broad
+def _twin_style(label: str) -> dict[str, Any]:
+    """One colour for an extended filter and its cubature twin; those that fade lie below."""
+    kind = KINDS.index(label.replace("EKF", "CKF"))
+    broad = {"lw": 4.0, "alpha": 0.35} if "EKF" in label else {"lw": 1.2}
+    return {"color": COLOURS[1 + kind], "zorder": 3.0 - 0.5 * ("ACKF" in KINDS[kind])} | broad
 
 
 def _fit(axes: Axes, shown: Array) -> None:
@@ -138,6 +141,13 @@ def _shade(axes: Axes, spans: Mapping[str, Span]) -> None:
         axes.axvspan(start, stop, color=SHADES[label], alpha=0.15, lw=0, label=label)
 
 
-def _legend(figure: Figure, axes: Axes) -> None:
-    figure.legend(*axes.get_legend_handles_labels(), frameon=False, ncols=6, fontsize=9,
+def _legend(figure: Figure, panels: Sequence[Axes]) -> None:
+    """What the panels show, each once."""
+    shown = {
+        label: handle
+        for axes in panels
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    columns = len(shown) if len(shown) < 8 else (len(shown) + 1) // 2
+    figure.legend(shown.values(), shown, frameon=False, ncols=columns, fontsize=9,
                   loc="outside upper center")  # fmt: skip

@@ -27,7 +27,7 @@ from kfenv.scenarios.faults import (
 Array = NDArray[np.float64]
 
 CONTAMINATION = ("vector", "channel")
-OUTLIER_SHARE, VARIANCE_RATIO = 0.15, 500.0  # epsilon and U of the published mixture
+OUTLIER_SHARE, VARIANCE_RATIO = 0.15, 500.0  # epsilon and U of the paper's mixture
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Flights for inertial navigation: the published one, random ones, and their exact samples.
+"""Flights for inertial navigation: one from the paper's start, random ones, their exact samples.
 
 A flight is an array (T, 9) of states [pN, pE, pD, vN, vE, vD, roll, pitch, yaw], m, m/s, rad.
 Velocity and attitude are prescribed at the instants; position is the trapezoid of velocity,
@@ -18,35 +18,39 @@ from kfenv.scenarios.trajectories import random_trajectory
 
 Array = NDArray[np.float64]
 
-PAPER_HEIGHT = 1_000.0  # m
-PAPER_VELOCITY = (260.0, 70.0, -50.0)  # m/s; printed as +50 down, against a pitch of +10 deg
-PAPER_SPEED = 270.0  # m/s, of the coordinated turn: sqrt(260^2 + 70^2)
-PAPER_YAW = np.radians(10.0)  # first yaw; the track is at 15.1 deg
-PAPER_PERIOD = 50.0  # s
+# The start of S4 Table 1; down is printed as +1000 m and +50 m/s, against a pitch of +10 deg.
+PAPER_START = (1_000.0, 1_000.0, -1_000.0)  # m
+PAPER_VELOCITY = (260.0, 70.0, -50.0)  # m/s
+PAPER_ROLL, PAPER_PITCH, PAPER_YAW = np.radians([45.0, 10.0, 10.0])  # the track is at 15.1 deg
+
+# The flight from there on is not in the paper and ours.
+PITCH_SWING = np.radians(5.0)
+TURN_SPEED = 270.0  # m/s, of the coordinated turn: sqrt(260^2 + 70^2)
+PERIOD = 50.0  # s
 
 ANGLE_OF_ATTACK = np.radians(3.0)  # of the random flights
 
 
 def paper_flight(time: Array) -> Array:
-    """The published flight (SPEC 7.1 E6): a climbing S of 50 s, begun in a bank of 45 deg.
+    """Our flight from the start that the paper gives (SPEC 7.1 E6): a climbing S of 50 s.
 
-    Roll 45 cos(2 pi t / 50) deg, pitch 10 + 5 sin(2 pi t / 25) deg, yaw rate g tan(roll) / 270;
+    The paper gives position, velocity and attitude at the start and no more. Roll
+    45 cos(2 pi t / 50) deg, pitch 10 + 5 sin(2 pi t / 25) deg, yaw rate g tan(roll) / 270;
     horizontal velocity turns with the yaw, vD = -50 cos(2 pi t / 50) m/s.
 
     Args:
         time: (T,) s, from 0 on.
     """
-    phase = 2.0 * np.pi * time / PAPER_PERIOD
-    roll = np.radians(45.0) * np.cos(phase)
-    pitch = np.radians(10.0) + np.radians(5.0) * np.sin(2.0 * phase)
-    rate = GRAVITY * np.tan(roll) / PAPER_SPEED
+    phase = 2.0 * np.pi * time / PERIOD
+    roll = PAPER_ROLL * np.cos(phase)
+    pitch = PAPER_PITCH + PITCH_SWING * np.sin(2.0 * phase)
+    rate = GRAVITY * np.tan(roll) / TURN_SPEED
     turned = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time) * (rate[1:] + rate[:-1]))])
     north, east, down = PAPER_VELOCITY
     sine, cosine = np.sin(turned), np.cos(turned)
     velocity = [north * cosine - east * sine, north * sine + east * cosine, down * np.cos(phase)]
     angles = np.stack([roll, pitch, _wrapped(PAPER_YAW + turned)], axis=1)
-    start = np.array([0.0, 0.0, -PAPER_HEIGHT])
-    return _flight(time, start, np.stack(velocity, axis=1), angles)
+    return _flight(time, np.array(PAPER_START), np.stack(velocity, axis=1), angles)
 
 
 def random_flight(rng: Generator, time: Array) -> Array:

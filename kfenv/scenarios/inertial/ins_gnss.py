@@ -50,24 +50,23 @@ INSTABILITY_TIME = 100.0  # s, correlation time of a wandering bias
 class InsGnss(TrackingScenario):
     """The scenario of ``kfenv/InsGnss-v0``; see its page for the fields.
 
-    The defaults of `gnss_noise` and `process_noise` are not the paper's tables: they are
-    chosen so that the published case has the error levels of SPEC 7.2 C11, and position
-    makes up 99.92 % of the trace of R, attitude 5e-8 of it (SPEC 6).
+    Noise of the fixes, process noise and initial uncertainty are those of the paper's tables
+    (S4 Tables 1, 2); the inertial unit and the flights are ours.
     """
 
     duration: float = 50.0
     rate: float = 100.0
     faults: str | Mapping[str, Mapping[str, object]] | Sequence[Fault] = "random"
     measurement_rate: float = 10.0
-    gnss_noise: tuple[float, float, float] = (70.0, 2.0, 0.9)
+    gnss_noise: Sequence[float | Sequence[float]] = ((100.0, 100.0, 150.0), (2.0, 2.0, 5.0), 1.5)
     imu_noise: tuple[float, float] = (0.3, 0.3)
     imu_bias: tuple[float, float] = (0.1, 0.1)
     imu_instability: tuple[float, float] = (0.0, 0.0)
-    process_noise: tuple[float, float, float] = (5.0, 3.0, 0.25)
+    process_noise: tuple[float, float, float] = (10.0, 2.0, 0.5)
     log: Sequence[str] | None = None
 
     name: ClassVar[str] = "InsGnss"
-    initial_deviation: ClassVar[tuple[float, ...]] = (50.0, 2.0, radians(2.0))
+    initial_deviation: ClassVar[tuple[float, ...]] = (100.0, 10.0, radians(10.0))
     error_scale: ClassVar[float] = 20.0
     mixture: ClassVar[tuple[float, float]] = (OUTLIER_SHARE, VARIANCE_RATIO)
     known_faults: ClassVar[Mapping[str, type]] = FAULTS | {
@@ -97,7 +96,7 @@ class InsGnss(TrackingScenario):
             object.__setattr__(self, "log", check_paths(self.log))
             object.__setattr__(self, "measurement_rate", self.rate / self._log.steps_per_fix)
             self._log.starts(self.duration, "tuning")  # complains
-        _check_numbers(self, "gnss_noise", ("m", "m/s", "deg"))
+        _check_fix_noise(self.gnss_noise)
         _check_numbers(self, "process_noise", ("m", "m/s", "deg"))
         for name in ("imu_noise", "imu_bias", "imu_instability"):
             _check_numbers(self, name, ("m/s^2", "deg/s"), zero=True)
@@ -154,8 +153,9 @@ class InsGnss(TrackingScenario):
     @property
     def fix_deviations(self) -> Array:
         """Standard deviations (9,) of a fix without faults."""
-        position, velocity, attitude = self.gnss_noise
-        return np.repeat([position, velocity, radians(attitude)], 3)
+        deviations = np.array([np.broadcast_to(given, 3) for given in self.gnss_noise])
+        deviations[2] = np.radians(deviations[2])
+        return deviations.ravel()
 
     def local_frame(self, position: Array) -> tuple[Array, Array]:
         """East, north and up of the same origin."""
@@ -214,7 +214,7 @@ class InsGnss(TrackingScenario):
         )
 
     def trajectory(self, rng: Generator) -> Array:
-        """The published flight, or a random one: truth (T, 9)."""
+        """The flight of the paper's case, or a random one: truth (T, 9)."""
         return paper_flight(self.time) if self.faults == "paper" else random_flight(rng, self.time)
 
     def draft(self, truth: Array, rng: Generator) -> Draft:
@@ -233,7 +233,7 @@ class InsGnss(TrackingScenario):
     def inertial_errors(self, rng: Generator) -> Array:
         """Errors (T, 6) of the samples: white noise, constant bias, wandering bias.
 
-        In the published case the bias is the given one on every axis; otherwise it is
+        In the paper's case the bias is the given one on every axis; otherwise it is
         drawn with that deviation.
         """
         noise, bias, wander = (
@@ -268,3 +268,19 @@ def _check_numbers(
         raise ValueError(
             f"{name} must hold {len(units)} {bound} ({', '.join(units)}), got {given!r}."
         )
+
+
+def _check_fix_noise(given: object) -> None:
+    """Complain unless there are three deviations, each a positive number or one for each axis."""
+    right = isinstance(given, Sequence) and not isinstance(given, str) and len(given) == 3
+    if not right or not all(_is_deviation(value) for value in given):
+        raise ValueError(
+            "gnss_noise must hold three deviations (position in m, velocity in m/s, attitude in "
+            f"deg), each a positive number or three of them, one for each axis; got {given!r}."
+        )
+
+
+def _is_deviation(value: object) -> bool:
+    """Whether it is a positive number, or three of them."""
+    axes = tuple(value) if isinstance(value, Sequence) and not isinstance(value, str) else (value,)
+    return len(axes) in (1, 3) and all(is_number(number) and number > 0.0 for number in axes)
