@@ -11,6 +11,7 @@ from test_bad_input import complaint
 from kfenv.filters.engine import Engine
 from kfenv.filters.protocol import Knobs, measured
 from kfenv.filters.results import Prediction
+from kfenv.models.namespaces import scalar
 from kfenv.models.strapdown import GRAVITY, mechanise
 from kfenv.scenarios.faults import Draft
 from kfenv.scenarios.inertial.faults import AccelerationStep, Interference, Outliers, RateStep
@@ -29,7 +30,7 @@ def wrapped(difference):
 # ----- flights --------------------------------------------------------------------------
 
 
-def test_a_unit_without_errors_reproduces_the_published_flight():
+def test_a_unit_without_errors_reproduces_the_papers_flight():
     flight = paper_flight(TIME)
     off = wrapped(mechanise(flight[0], exact_samples(flight, TIME), TIME) - flight)
     assert np.abs(off[:, :3]).max() < 1e-9 and np.abs(off).max() < 1e-9
@@ -45,9 +46,9 @@ def test_and_every_random_one_at_any_rate(seed, rate):
     assert np.abs(flight[:, 6:8]).max() < np.radians(80.0)
 
 
-def test_the_published_flight():
+def test_our_flight_from_the_papers_start():
     flight = paper_flight(TIME)
-    np.testing.assert_allclose(flight[0, :6], [0, 0, -1000, 260, 70, -50])
+    np.testing.assert_allclose(flight[0, :6], [1000, 1000, -1000, 260, 70, -50])
     np.testing.assert_allclose(np.degrees(flight[0, 6:]), [45, 10, 10])
     np.testing.assert_allclose(flight[2500, 5], 50.0)  # half way round: descending, other bank
     np.testing.assert_allclose(np.degrees(flight[2500, 6]), -45.0)
@@ -86,7 +87,7 @@ def test_a_perfect_unit_is_perfect():
 def test_white_noise_keeps_its_density(rate):
     off = errors("paper", rate=rate, measurement_rate=5.0)
     units = np.repeat([1.0, np.radians(1.0)], 3)
-    np.testing.assert_allclose(off.mean(0) / units, 0.1, atol=0.04)  # the published bias
+    np.testing.assert_allclose(off.mean(0) / units, 0.1, atol=0.04)  # the same in every episode
     np.testing.assert_allclose(off.std(0) / units, 0.3 * np.sqrt(rate / 100.0), rtol=0.06)
 
 
@@ -126,9 +127,27 @@ def test_a_fix_falls_on_every_tenth_sample():
 def test_a_fix_has_its_noise():
     recording = InsGnss(faults="none").sample([np.random.default_rng(s) for s in range(4)])
     off = wrapped(recording.measurement - recording.truth)[:, ::10].reshape(-1, 9)
-    units = np.repeat([70.0, 2.0, np.radians(0.9)], 3)
+    units = np.array([100.0, 100.0, 150.0, 2.0, 2.0, 5.0, *np.radians([1.5] * 3)])
     np.testing.assert_allclose(off.std(0) / units, 1.0, atol=0.06)
     np.testing.assert_allclose(recording.noise[0, 0], units)
+
+
+def test_what_the_filter_is_told_is_the_papers():
+    """S4 Tables 1 and 2, as SPEC 7.1 reads them."""
+    scenario = InsGnss(faults="paper")
+    recording = scenario.sample([np.random.default_rng(0)])
+    prior = np.repeat([100.0, 10.0, np.radians(10.0)], 3)
+    np.testing.assert_allclose(recording.factor[0], np.diag(prior))
+    noise = scenario.motion.build(scalar).noise_factor((0.0,) * 9, (0.0,) * 6, 0.01)
+    second = np.repeat([10.0, 2.0, np.radians(0.5)], 3)
+    np.testing.assert_allclose(noise, 0.1 * second)
+    assert scenario.mixture == (0.15, 500.0)
+
+
+def test_a_deviation_may_be_one_for_all_axes():
+    one, three = InsGnss(gnss_noise=(3.0, 0.2, 1.0)), InsGnss(gnss_noise=[[3] * 3, 0.2, [1.0] * 3])
+    np.testing.assert_array_equal(one.fix_deviations, three.fix_deviations)
+    np.testing.assert_allclose(one.fix_deviations, np.repeat([3.0, 0.2, np.radians(1.0)], 3))
 
 
 @pytest.mark.parametrize("by", ["vector", "channel"])
@@ -223,8 +242,11 @@ def test_fading_acts_once_per_fix():
 @pytest.mark.parametrize(("keywords", "culprit"), [
     ({"measurement_rate": 0.0}, "measurement_rate must be a positive number"),
     ({"measurement_rate": 30.0}, "rate=100 is no multiple of measurement_rate=30"),
-    ({"gnss_noise": (1.0, 1.0)}, "gnss_noise must hold 3 positive numbers (m, m/s, deg)"),
+    ({"gnss_noise": (1.0, 1.0)}, "gnss_noise must hold three deviations (position in m"),
     ({"gnss_noise": (0.0, 1.0, 1.0)}, "gnss_noise"),
+    ({"gnss_noise": ((1.0, 1.0), 1.0, 1.0)}, "gnss_noise"),
+    ({"gnss_noise": ((1.0, 1.0, -1.0), 1.0, 1.0)}, "gnss_noise"),
+    ({"gnss_noise": (1.0, "2", 1.0)}, "gnss_noise"),
     ({"process_noise": (1.0, -1.0, 1.0)}, "process_noise"),
     ({"imu_noise": 0.3}, "imu_noise must hold 2 numbers, zero or more (m/s^2, deg/s)"),
     ({"imu_bias": (0.1, -0.1)}, "imu_bias"),

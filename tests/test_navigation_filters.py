@@ -1,9 +1,7 @@
-"""The eight navigation filters on the inertial scenario: contests, knobs, published order."""
+"""The eight navigation filters on the inertial scenario: their order, contests, knobs."""
 
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +9,6 @@ from kfenv.agents.contest.evaluation import Contest
 from kfenv.agents.contest.rollout import rollout
 from kfenv.agents.contestants.registry import make_agent
 from kfenv.agents.contestants.rules.fading import InnovationFading, InnovationFadingPrinted
-from kfenv.agents.reproduction import inertial_navigation
-from kfenv.agents.reproduction.claims import FAILS, HOLDS, with_interval
-from kfenv.agents.reproduction.laboratory import Laboratory
-from rich.progress import Progress
 from rollouts import INERTIAL, TRACKING, assert_same, draw, make, make_vec, zeros
 
 from kfenv.envs.core import make_filter
@@ -41,7 +35,7 @@ def position_rmse(recording, mean):
     return np.sqrt(np.mean(np.sum(off**2, axis=2), axis=1))
 
 
-# -- what was published ------------------------------------------------------------------
+# -- the paper's case ---------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +56,7 @@ def errors():
     }  # fmt: skip
 
 
-def test_the_published_order(errors):
+def test_their_order(errors):
     """SPEC 7.3 number 7: GSCKF < CKF < GSACKF (printed) < ACKF, in every run's pairing."""
     order = [errors[name] for name in ("gsckf", "ckf", "printed V", "ackf")]
     for better, worse in pairwise(order):
@@ -77,32 +71,6 @@ def test_extended_and_cubature_are_one_filter_here(errors):
     """C12 does not hold: h is linear and f mild."""
     for kind in ("", "gsa"):
         np.testing.assert_allclose(errors[f"{kind}ekf"], errors[f"{kind}ckf"], rtol=0.02)
-
-
-def test_the_experiment_writes_its_figures_and_claims(tmp_path, monkeypatch):
-    """On few runs of coarse samples; the claims' verdicts are the specification's."""
-    coarse = partial(inertial_navigation.PublishedFlight, duration=27.0, rate=10.0)
-    monkeypatch.setattr(inertial_navigation, "PublishedFlight", coarse)
-    with Progress(disable=True) as progress:
-        claims = inertial_navigation.reproduce(Laboratory(tmp_path, 4, 0, 1, progress))
-    verdicts = {claim.name: claim.verdict for claim in claims}
-    assert verdicts["C11 (E6)"] == HOLDS
-    for name in ("C11b", "C11c", "C12", "C12b"):
-        assert verdicts[f"{name} (E6)"] == FAILS
-    drawn = sorted(path.stem for path in Path(tmp_path).glob("*.png"))
-    assert drawn == ["attitude", "attitude_error", "rmse", "rmse_unit_fault", "velocity",
-                     "velocity_error"]  # fmt: skip
-
-
-def test_a_gain_is_not_sure_where_the_better_filter_failed():
-    gains = np.linspace(1.0, 2.0, 20)
-    failed = np.where(np.arange(20) == 3, -np.inf, gains)
-    assert inertial_navigation._surely_positive(gains)
-    for lost in (failed, np.where(np.isinf(failed), np.nan, gains)):
-        assert not inertial_navigation._surely_positive(lost)
-    assert inertial_navigation._surely_positive(np.abs(failed))  # the worse one failed
-    assert "lost" not in with_interval(gains)
-    assert with_interval(failed).endswith("m without 1 of 20 runs, lost")
 
 
 # -- contests ----------------------------------------------------------------------------
@@ -227,7 +195,7 @@ def test_the_gaussian_sums_of_the_environment():
     improved.reset(seed=0)
     _, reward, *_ = improved.step(zeros(improved))
     assert reward == 0.0
-    # A scenario that tells no mixture gets the published one.
+    # A scenario that tells no mixture gets the paper's.
     assert make_filter(make(TRACKING, filter="gsekf").scenario,
                        make(TRACKING, filter="gsekf").options).mixture == Mixture()  # fmt: skip
     for name in ("ackf", "gsackf"):

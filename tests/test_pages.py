@@ -23,7 +23,7 @@ from kfenv.models.gnss.receiver import range_deviation
 from kfenv.models.strapdown import GRAVITY
 from kfenv.scenarios import coverage
 from kfenv.scenarios.gnss.log import PARTS as GNSS_PARTS
-from kfenv.scenarios.inertial.flights import PAPER_PERIOD, PAPER_SPEED
+from kfenv.scenarios.inertial.flights import PERIOD, TURN_SPEED
 from kfenv.scenarios.inertial.log import PARTS as INERTIAL_PARTS
 from kfenv.scenarios.radar.tracking import RadarTracking
 from kfenv.scenarios.radar.validation import PUBLISHED_NOISE
@@ -185,8 +185,8 @@ def test_the_figures_that_are_typed():
     for rate, word in ((10.0, "ten"), (2.0, "two")):
         told = "{:g} m, {:g} deg, {:g} deg".format(*PUBLISHED_NOISE[rate])
         assert f"{told} at {word}" in flat(VALIDATION)
-    assert f"{PAPER_SPEED:g} m/s, a bank of 45 deg" in flat(INERTIAL)
-    assert f"and back in {PAPER_PERIOD:g} s" in flat(INERTIAL)
+    assert f"{TURN_SPEED:g} m/s, a bank of 45 deg" in flat(INERTIAL)
+    assert f"and back in {PERIOD:g} s" in flat(INERTIAL)
     for env_id, parts in ((GNSS, GNSS_PARTS), (INERTIAL, INERTIAL_PARTS)):
         assert f"first {100 * parts['tuning'][1]:g} %" in flat(env_id)
         assert parts["validation"][1] == 0.5  # "next 20 %", "last half"

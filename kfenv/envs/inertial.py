@@ -45,8 +45,9 @@ class InsGnssEnv(TrackingEnv):
     and it and ``nees`` are left out where there is none (NaN in the vector environment).
 
     ## Starting State
-    {random_flight}, in coordinated turns; or the published one with ``faults="paper"``: 270 m/s,
-    a bank of 45 deg that swings to the other side and back in 50 s. {initial_deviations}.
+    {random_flight}, in coordinated turns. With ``faults="paper"`` it begins as the paper's,
+    270 m/s, a bank of 45 deg, and goes on as ours: the bank swings to the other side and back in
+    50 s. {initial_deviations}; the deviations are the paper's.
 
     {first_decision}
 
@@ -60,8 +61,8 @@ class InsGnssEnv(TrackingEnv):
     - ``measurement_rate``: fixes per second (default {scenario.measurement_rate:g}), a divisor of
       ``rate``; where it is more than that, a fix falls on every sample.
     - ``gnss_noise``: standard deviations of a fix's position (m), velocity (m/s) and
-      attitude (deg) per axis, default {scenario.gnss_noise}: like ``process_noise`` not the
-      paper's table, but chosen for the errors that the reproduction (E6) is compared with.
+      attitude (deg), each a number or one for each axis, default {scenario.gnss_noise}, the
+      paper's table.
     - ``imu_noise``: white noise of a sample at {module.SAMPLE_RATE:g} Hz, m/s^2 and deg/s,
       default {scenario.imu_noise}; at another rate its density is the same.
     - ``imu_bias``: standard deviations of the biases, m/s^2 and deg/s, drawn per axis and
@@ -70,7 +71,7 @@ class InsGnssEnv(TrackingEnv):
       of {module.INSTABILITY_TIME:g} s, m/s^2 and deg/s, default {scenario.imu_instability}.
     - ``process_noise``: what the filter believes of the errors that the samples bring into
       position (m), velocity (m/s) and attitude (deg): standard deviations after a second,
-      default {scenario.process_noise}.
+      default {scenario.process_noise}, the paper's table.
     - ``log``: paths of CSV files to run on, ``(IMU, GNSS)`` or ``(IMU, GNSS, TRUTH)``, one
       clock, columns by name (`kfenv.scenarios.inertial.files`). IMU: ``t`` s, ``fx, fy, fz``
       m/s^2, ``wx, wy, wz`` rad/s, axes forward, right, down. GNSS: ``t, lat, lon`` deg,
@@ -83,7 +84,7 @@ class InsGnssEnv(TrackingEnv):
 
       - ``"random"`` (default; with a ``log`` as ``"outages"``): {preset[random]}.
       - ``"outages"``: {preset[outages]}.
-      - ``"paper"``: the published case, {preset[paper]}.
+      - ``"paper"``: the paper's case, {preset[paper]}.
       - ``"none"``.
       {other_faults}
 
