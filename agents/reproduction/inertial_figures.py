@@ -33,14 +33,12 @@ KINDS = ("CKF", "ACKF", "GSCKF", "GSACKF", "GSACKF, β = 3")
 
 
 class Run(NamedTuple):
-    """One channel of one run, SI."""
+    """One channel of one run at the kept instants (K,), SI."""
 
-    time: Array  # (T,)
-    truth: Array  # (T,)
-    fixes: Array  # (T,) NaN where none came
-    estimates: Mapping[str, Array]  # (T,) by filter
-    error_time: Array  # (K,)
-    errors: Mapping[str, Array]  # (K,) by filter
+    time: Array
+    truth: Array
+    fixes: Array  # NaN where none came
+    errors: Mapping[str, Array]  # by filter
 
 
 def estimates(channel: int, run: Run, outliers: Span, zoom: Span) -> Figure:
@@ -53,16 +51,16 @@ def estimates(channel: int, run: Run, outliers: Span, zoom: Span) -> Figure:
     unit, name = _unit(channel), CHANNELS[channel]
     columns = figure.subplots(3, 2).T
     for (whole, close, error), sums in zip(columns, (False, True), strict=True):
-        labels = [label for label in run.estimates if label.startswith("GS") == sums]
+        labels = [label for label in run.errors if label.startswith("GS") == sums]
         for axes in (whole, close):
             _follow(axes, run, labels, unit)
         for label in labels:
-            error.plot(run.error_time, unit * run.errors[label], label=label, **_twin_style(label))
+            error.plot(run.time, unit * run.errors[label], label=label, **_twin_style(label))
         near = (run.time >= zoom[0]) & (run.time <= zoom[1])
         close.set_xlim(*zoom)
         for axes, when in ((whole, slice(None)), (close, near)):
-            shown = [run.truth[when], *(run.estimates[label][when] for label in labels)]
-            _fit(axes, unit * np.stack(shown))
+            off = np.stack([np.zeros_like(run.truth), *(run.errors[label] for label in labels)])
+            _fit(axes, unit * (run.truth + off)[:, when])
         error.axhline(0.0, color="black", lw=0.8)
         error.set_yscale("symlog", linthresh=1.0)
         error.set_xlabel("time, s")
@@ -114,7 +112,8 @@ def _follow(axes: Axes, run: Run, labels: Sequence[str], unit: float) -> None:
     axes.plot(run.time[seen], unit * run.fixes[seen], ".", color="#bbbbbb", ms=3, label="GNSS")
     axes.plot(run.time, unit * run.truth, color="black", lw=2.4, label="truth")
     for label in labels:
-        axes.plot(run.time, unit * run.estimates[label], label=label, **_twin_style(label))
+        path = run.truth + run.errors[label]
+        axes.plot(run.time, unit * path, label=label, **_twin_style(label))
     clean(axes)
 
 

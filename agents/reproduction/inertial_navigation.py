@@ -20,7 +20,7 @@ from .inertial_case import (
     fix_errors,
 )
 from .laboratory import Laboratory
-from .monte_carlo import Outcome, Study, filter_recording
+from .monte_carlo import Outcome, Study
 
 Outcomes = dict[str, Outcome]
 
@@ -64,15 +64,12 @@ def reproduce(laboratory: Laboratory) -> list[Claim]:
 def _draw_flight(laboratory: Laboratory, study: Study, outcomes: Outcomes) -> None:
     """Each angle and velocity of the first run, as all eight filters see it (S4 Fig. 8 to 19)."""
     recording = study.sample(0, 1)
-    paths = {m.label: filter_recording(study.scenario, m, recording).mean[0] for m in EIGHT}
     for channel, name in inertial_figures.DRAWN.items():
         run = inertial_figures.Run(
-            recording.time,
-            recording.truth[0, :, channel],
-            recording.measurement[0, :, channel],
-            {label: path[:, channel] for label, path in paths.items()},
             study.time,
-            {label: outcomes[label].channel_error[0, :, channel] for label in paths},
+            recording.truth[0, study.kept, channel],
+            recording.measurement[0, study.kept, channel],
+            {m.label: outcomes[m.label].channel_error[0, :, channel] for m in EIGHT},
         )
         laboratory.save(inertial_figures.estimates(channel, run, WINDOW, ZOOM), name)
 
