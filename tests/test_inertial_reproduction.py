@@ -101,6 +101,8 @@ def test_rmse_is_per_axis_and_in_degrees(study, noise):
     assert of(inertial_claims.ANGLES["yaw"], (26.0, 27.0)) == pytest.approx(2.0)
     told = inertial_claims._told(study, {"F": outcome(study, noise)}, ["F"])
     assert told == "F 17.3 (30) m, 1.73 (3) m/s, 1.73 (3) deg"
+    far = outcome(study, noise)._replace(lost_at=np.array([3.0] + 7 * [np.inf]))
+    assert inertial_claims._told(study, {"F": far}, ["F"]) == f"{told}, 1 of 8 lost"
     gone = noise.copy()
     gone[3, -20:] = np.nan
     assert np.isinf(inertial_claims.rmse_of_runs(study, outcome(study, gone), 0)).sum() == 1

@@ -9,7 +9,7 @@ from math import log, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from kfenv.filters.results import NOT_POSITIVE_DEFINITE, OK
+from kfenv.filters.results import NOT_POSITIVE_DEFINITE
 
 from .claims import Claim, digits, judge, mean_and_interval, with_interval
 from .inertial_case import (
@@ -80,7 +80,7 @@ def _unit(channels: Channels) -> float:
 
 
 def _told(study: Study, outcomes: Outcomes, labels: Sequence[str]) -> str:
-    """RMSE per axis, and in 3-D in brackets, of each part of the state, and failures."""
+    """RMSE per axis, and in 3-D in brackets, of each part of the state, and lost runs."""
     rows = []
     for label in labels:
         outcome = outcomes[label]
@@ -88,8 +88,8 @@ def _told(study: Study, outcomes: Outcomes, labels: Sequence[str]) -> str:
         told = ", ".join(
             f"{digits(v)} ({digits(sqrt(3.0) * v)}) {unit}" for unit, v in values.items()
         )
-        failed = int(np.sum(outcome.failure != OK))
-        rows.append(f"{label} {told}" + (f", {failed} of {study.runs} failed" if failed else ""))
+        lost = int(outcome.lost.sum())
+        rows.append(f"{label} {told}" + (f", {lost} of {study.runs} lost" if lost else ""))
     return "; ".join(rows)
 
 
@@ -239,7 +239,10 @@ def _apart(outcomes: Outcomes, one: str, other: str, channels: Channels) -> floa
 def _diverges(
     study: Study, outcomes: Outcomes, name: str, angle: str, stable: str, other: str
 ) -> Claim:
-    """Whether an extended filter is stable in an angle while its cubature twin diverges."""
+    """Whether an extended filter is stable in an angle while its cubature twin diverges:
+
+    whether its error is surely larger, and more than twice as large while outliers come or after.
+    """
     channel, end = ANGLES[angle], float(study.time[-1])
     gain = _gain(study, outcomes, other, stable, channel)
     fixes = np.degrees(np.sqrt(np.mean(fix_errors(study, study.runs)[..., channel] ** 2)))
