@@ -57,8 +57,8 @@ class ClairvoyantRq(Clairvoyant):
     """
 
     parameters = (
-        Parameter("floor", 1e-3, 10.0, 0.1),
-        Parameter("gain", 1e-3, 100.0, 1.0),
+        Parameter("floor", 1e-3, 10.0, 0.01),
+        Parameter("gain", 0.01, 1000.0, 10.0),
     )
 
     def reset(self, briefing: Briefing) -> None:

@@ -157,7 +157,7 @@ def hear(innovation, variance, told, passed, up, down, leak, grid, belief):
     """
     batch, channels = innovation.shape
     states, sums = (2 if grid.glint_share > 0.0 else 1, len(grid.levels)), len(grid.variance)
-    density, spread = np.empty((channels, sums)), np.empty((channels, sums))
+    density, precision = np.empty((channels, sums)), np.empty((channels, sums))
     single, joint = np.empty((channels, *states)), np.empty(states)
     factor, evidence = np.full((batch, channels), np.nan), np.zeros(batch)
     for b in range(batch):
@@ -169,8 +169,8 @@ def hear(innovation, variance, told, passed, up, down, leak, grid, belief):
                 told_variance = told[b, c] ** 2
                 explained = max(variance[b, c] - told_variance, 0.0)
                 for k in range(sums):
-                    spread[c, k] = explained + told_variance * grid.variance[k]
-                evidence[b] += _weigh(innovation[b, c], spread[c], density[c])
+                    precision[c, k] = 1.0 / (explained + told_variance * grid.variance[k])
+                evidence[b] += _weigh(innovation[b, c], precision[c], density[c])
                 _likelihood(density[c], belief.misreport[b, c], grid, single[c])
         if not arrived:
             continue
@@ -181,7 +181,7 @@ def hear(innovation, variance, told, passed, up, down, leak, grid, belief):
             if not np.isnan(innovation[b, c]):
                 told_variance = told[b, c] ** 2
                 mean = _misreported(
-                    joint, single[c], density[c], spread[c], leak, grid, belief.misreport[b, c]
+                    joint, single[c], density[c], precision[c], leak, grid, belief.misreport[b, c]
                 )
                 explained = max(variance[b, c] - told_variance, 0.0)
                 noise = max(1.0 / mean - explained, 1e-6 * told_variance)
@@ -208,17 +208,16 @@ def _move(level, passed, up, down):
 
 
 @njit(cache=True)
-def _weigh(innovation, spread, density):
-    """Likelihood at each variance, but for a factor that keeps the greatest of order one.
+def _weigh(innovation, precision, density):
+    """Likelihood at each precision, but for a factor that keeps the greatest of order one.
 
     Returns:
         The logarithm of that factor.
     """
-    half = 0.5 * innovation * innovation
-    least, widest = half / spread[-1], spread[-1]
-    for k in range(len(spread)):
-        density[k] = exp(least - half / spread[k]) * sqrt(widest / spread[k])
-    return -least - 0.5 * log(TWO_PI * widest)
+    half, least = 0.5 * innovation * innovation, precision[-1]
+    for k in range(len(precision)):
+        density[k] = exp(half * (least - precision[k])) * sqrt(precision[k] / least)
+    return 0.5 * log(least / TWO_PI) - half * least
 
 
 @njit(cache=True)
@@ -265,19 +264,19 @@ def _posterior(innovation, single, level, glints, b, grid, joint):
 
 
 @njit(cache=True)
-def _misreported(joint, single, density, spread, leak, grid, misreport):
+def _misreported(joint, single, density, precision, leak, grid, misreport):
     """Take a measurement into a channel's misreport; E[1 / variance of the innovation]."""
-    count, mean, total = len(misreport), 0.0, 0.0
+    count, mean = len(misreport), 0.0
+    share = np.zeros(count)
+    for g in range(joint.shape[0]):
+        for i in range(joint.shape[1]):
+            at, weight = grid.levels[i] + g * grid.glint, joint[g, i] / single[g, i]
+            for j in range(count):
+                k = at + grid.misreport[j]
+                part = weight * misreport[j] * density[k]
+                share[j] += part
+                mean += part * precision[k]
+    total = share.sum()
     for j in range(count):
-        share = 0.0
-        for g in range(joint.shape[0]):
-            for i in range(joint.shape[1]):
-                k = grid.levels[i] + g * grid.glint + grid.misreport[j]
-                part = joint[g, i] / single[g, i] * density[k]
-                share += part
-                mean += misreport[j] * part / spread[k]
-        misreport[j] *= share
-        total += misreport[j]
-    for j in range(count):
-        misreport[j] = (1.0 - leak) * misreport[j] / total + leak / count
+        misreport[j] = (1.0 - leak) * share[j] / total + leak / count
     return mean / total
