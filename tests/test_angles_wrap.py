@@ -28,8 +28,8 @@ def test_azimuth_crosses_180_degrees_unnoticed(design, tolerance):
     assert np.all(late_jumps.max(axis=1) > 6.0)  # it does cross, and after the start
     z = case.measurement.copy()
     z[:, :, 1] = wrap(z[:, :, 1] + 0.5 * np.pi)
-    turned = case._replace(mean=case.mean @ TURN.T, factor=tria(TURN @ case.factor))
-    turned = turned._replace(measurement=z)
+    mean, factor = case.mean @ TURN.T, tria(TURN @ case.factor)
+    turned = case._replace(mean=mean, factor=factor, measurement=z)
     if design == "engine":
         tier = Engine(variable_turn(), radar())
     else:
