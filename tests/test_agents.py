@@ -159,5 +159,5 @@ def test_unknown_agents_are_named():
 
 def test_every_agent_has_sound_parameters():
     for name in AGENTS:
-        for parameter in make_agent(name).tunable(KNOBS):
+        for parameter in make_agent(name).tunable(RadarTracking(), KNOBS):
             assert 0.0 < parameter.low <= parameter.default <= parameter.high

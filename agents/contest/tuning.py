@@ -37,7 +37,7 @@ def tune(
     """
     scenario, options = scenario_and_options(env_id, env_kwargs)
     knobs = choose_knobs(None, scenario.sensor.groups, options.mixture)
-    parameters = agent.tunable(knobs)
+    parameters = agent.tunable(scenario, knobs)
     trials *= len(parameters)
     if trials < 1:
         return agent

@@ -71,8 +71,8 @@ class Contestant:
         self.name = name
         self.values = {p.name: p.default for p in self.parameters} | dict(values or {})
 
-    def tunable(self, knobs: Sequence[Knob]) -> tuple[Parameter, ...]:
-        """What tuning may choose, given the knobs that the agent can turn."""
+    def tunable(self, scenario: TrackingScenario, knobs: Sequence[Knob]) -> tuple[Parameter, ...]:
+        """What tuning may choose, given the scenario and the knobs that the agent can turn."""
         return self.parameters
 
     def with_values(self, values: Mapping[str, float]) -> Self:

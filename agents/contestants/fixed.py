@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kfenv.envs.knobs import Knob, actions_for
+from kfenv.scenarios.scenario import TrackingScenario
 
 from .agent import Agent, Array, Briefing, Parameter
 
@@ -27,7 +28,7 @@ class FixedTuned(Agent):
 
     sees = "nothing"
 
-    def tunable(self, knobs: Sequence[Knob]) -> tuple[Parameter, ...]:
+    def tunable(self, scenario: TrackingScenario, knobs: Sequence[Knob]) -> tuple[Parameter, ...]:
         """Every knob, over its whole range."""
         return tuple(Parameter(knob.name, knob.low, knob.high, 1.0) for knob in knobs)
 

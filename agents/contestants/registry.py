@@ -8,7 +8,7 @@ from kfenv.filters.adaptive import ADAPTIVE_DESIGNS
 from kfenv.filters.designs import DESIGNS
 from kfenv.names import unknown
 
-from .agent import Agent, Contestant
+from .agent import Agent, Contestant, RecordingFilter
 from .banks.bank import BankContestant
 from .banks.noise_and_motion import ImmRq
 from .banks.noise_levels import Imm, Imm8, ImmGlint
@@ -17,6 +17,7 @@ from .clairvoyant import Clairvoyant, ClairvoyantRq
 from .family import AdaptiveFamilyFilter, FamilyFilter
 from .fixed import Fixed, FixedTuned, Random
 from .learned import Learned
+from .optimised import Okf
 from .rules.fading import InnovationFading, InnovationFadingPrinted, StrongTracking
 from .rules.hidden_markov import HmmNoise, HmmTurn
 from .rules.noise import InnovationNoise, PooledNoise, SageHusa, VbNoise
@@ -49,7 +50,8 @@ BANKS: dict[str, type[BankContestant]] = {
     "imm-rq": ImmRq,
     "hmm-2q": Hmm2q,
 }
-NAMES = (*AGENTS, *BANKS, *DESIGNS, *ADAPTIVE_DESIGNS)
+FILTERS: dict[str, type[RecordingFilter]] = {**BANKS, "okf": Okf}
+NAMES = (*AGENTS, *FILTERS, *DESIGNS, *ADAPTIVE_DESIGNS)
 
 
 def make_agent(name_or_path: str) -> Contestant:
@@ -62,8 +64,8 @@ def make_agent(name_or_path: str) -> Contestant:
     """
     if name_or_path in AGENTS:
         return AGENTS[name_or_path](name_or_path)
-    if name_or_path in BANKS:
-        return BANKS[name_or_path](name_or_path)
+    if name_or_path in FILTERS:
+        return FILTERS[name_or_path](name_or_path)
     if name_or_path in DESIGNS:
         return FamilyFilter(name_or_path)
     if name_or_path in ADAPTIVE_DESIGNS:
