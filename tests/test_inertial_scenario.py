@@ -142,6 +142,9 @@ def test_what_the_filter_is_told_is_the_papers():
     second = np.repeat([10.0, 2.0, np.radians(0.5)], 3)
     np.testing.assert_allclose(noise, 0.1 * second)
     assert scenario.mixture == (0.15, 500.0)
+    parts = np.square(recording.noise[0, 0]).reshape(3, 3).sum(axis=1)
+    position, _, attitude = parts / parts.sum()  # of the trace of R, SPEC 6
+    assert position == pytest.approx(0.9992, abs=5e-5) and attitude == pytest.approx(5e-8, rel=0.05)
 
 
 def test_a_deviation_may_be_one_for_all_axes():
