@@ -12,7 +12,7 @@ from gymnasium.envs.registration import EnvSpec, load_env_creator
 from numpy.random import Generator, SeedSequence, default_rng
 from numpy.typing import NDArray
 
-from kfenv.envs import statistics
+from kfenv.envs import rewards, statistics
 from kfenv.envs.core import IDLE, Core
 from kfenv.envs.knobs import knobs_of
 from kfenv.envs.options import Options, check_recording, split_keywords
@@ -141,9 +141,11 @@ def _settle(
 ) -> Scores:  # fmt: skip
     """The scores from sums over the `scored` instants until the end, or the loss."""
     all_scored = recording.scored_instants
-    squared = squared_error + (all_scored - scored) * scenario.lost_distance**2
+    mean_square = rewards.mean_square(
+        squared_error, scored, all_scored, lost, scenario.lost_distance
+    )
     nees = nees / np.maximum(scored, 1.0) / 3.0
-    return Scores(np.sqrt(squared / all_scored), lost, nees, nis, seconds, *traces)
+    return Scores(np.sqrt(mean_square), lost, nees, nis, seconds, *traces)
 
 
 def _filter(

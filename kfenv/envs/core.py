@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kfenv.envs import statistics
+from kfenv.envs import rewards, statistics
 from kfenv.envs.knobs import choose_knobs, knobs_of
 from kfenv.envs.options import ENGINE, GAUSSIAN_SUMS, Options
 from kfenv.filters.engine import Engine
@@ -22,8 +22,6 @@ from kfenv.scenarios.recording import Recording
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# A step's worst reward: RMSE in error scales; log of an error ratio.
-REWARD_CAP = {"rmse": 10.0, "improvement": 3.0}
 IDLE = -1
 
 
@@ -75,6 +73,7 @@ class Core:
         self.error = np.full(batch, np.nan)
         self.nees = np.full(batch, np.nan)
         self.total_squared_error, self.total_nees, self.total_scored = np.zeros((3, batch))
+        self._to_score, self._cost = np.zeros((2, batch))
         self._statistics = np.zeros((batch, len(sensor.groups), statistics.COLUMNS))
         self._since = np.zeros(batch)
         self._action = np.zeros((batch, len(self.knobs)))
@@ -97,7 +96,7 @@ class Core:
         for name, array in self._episode.items():
             given = getattr(recording, name)
             array[chosen] = 1.0 if given is None else given  # only `scored` may be left out
-        if self.options.reward == "improvement" and self.has_truth:
+        if self.options.reward == rewards.IMPROVEMENT and self.has_truth:
             self._nominal_error[chosen] = self._errors_of_nominal(recording)
         self.index[chosen] = 0
         self._scored[chosen] = 0
@@ -117,6 +116,8 @@ class Core:
         self.total_squared_error[chosen] = 0.0
         self.total_nees[chosen] = 0.0
         self.total_scored[chosen] = 0.0
+        self._to_score[chosen] = recording.scored_instants if self.has_truth else len(self.time)
+        self._cost[chosen] = 0.0
         mask = np.zeros(self.batch, bool)
         mask[chosen] = True
         self._score(mask)
@@ -133,8 +134,8 @@ class Core:
     def step(self, action: Array, running: Mask) -> tuple[Array, Mask, Mask]:
         """Apply an action (B, K) for one decision interval to the running filters.
 
-        A lost track pays the cap for this decision and every one that remained. Where
-        measurements are rarer than filter steps, fading acts at the instants of theirs.
+        A lost track pays at once for all that remained. Where measurements are rarer than
+        filter steps, fading acts at the instants of theirs.
 
         Returns:
             Reward, terminated and truncated, each (B,); zero and False where not running.
@@ -162,21 +163,34 @@ class Core:
         self.total_scored += count
         lost = running & self.lost
         ended = running & ~lost & (self.index >= len(self.time))
-        count = np.maximum(count, 1.0)
-        reward = self._reward(squared / count, nominal / count)
-        remaining = -(-(len(self.time) - begin) // self.interval)
-        reward = np.where(lost, -REWARD_CAP[self.options.reward] * remaining, reward)
+        if self.options.reward == rewards.IMPROVEMENT:
+            count = np.maximum(count, 1.0)
+            reward = self._improvement(squared / count, nominal / count, begin)
+        else:
+            reward = rewards.book(
+                self.options.reward, self.mean_square, self.scenario.error_scale, self._cost
+            )
         return np.where(running, reward, 0.0), lost, ended
 
-    def _reward(self, squared: Array, nominal: Array) -> Array:
-        """Of one decision that did not lose the track, from mean squared errors."""
-        cap = REWARD_CAP[self.options.reward]
+    def _improvement(self, squared: Array, nominal: Array, begin: NDArray[np.int64]) -> Array:
+        """Of a decision begun at these indices, from mean squared errors."""
         reward = np.zeros(self.batch)
-        if self.has_truth and self.options.reward == "improvement":
-            statistics.improvement(nominal, squared, cap, reward)
-        elif self.has_truth:
-            reward = -np.minimum(np.sqrt(squared) / self.scenario.error_scale, cap)
-        return reward
+        if self.has_truth:
+            rewards.improvement(nominal, squared, reward)
+        remaining = -(-(len(self.time) - begin) // self.interval)
+        return np.where(self.lost, -rewards.IMPROVEMENT_CAP * remaining, reward)
+
+    @property
+    def mean_square(self) -> Array:
+        """Squared errors so far over all scored instants of the episode, (B,), m^2.
+
+        Without truth every instant counts, as no error until the track is lost.
+        """
+        scored = self.total_scored if self.has_truth else self.index + self.lost
+        return rewards.mean_square(
+            self.total_squared_error, scored, self._to_score, self.lost,
+            self.scenario.lost_distance,
+        )  # fmt: skip
 
     def _gather(self, name: str) -> Array:
         """What an episode holds at each filter's instant, or at the last one beyond it."""

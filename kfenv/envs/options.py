@@ -12,7 +12,7 @@ from kfenv.checks import is_number
 from kfenv.names import unknown
 from kfenv.scenarios.recording import Recording
 
-REWARDS = ("rmse", "improvement")
+REWARDS = ("rmse", "log-rmse", "improvement")
 ENGINE = "srukf-joseph-exact"
 GAUSSIAN_SUMS = ("gsekf", "gsckf")
 MAX_STEP = 1.0 + 1e-6  # s

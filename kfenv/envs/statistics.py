@@ -1,4 +1,4 @@
-"""Compiled arithmetic of the decision process: knobs, scores, observations, rewards.
+"""Compiled arithmetic of the decision process: knobs, scores, observations.
 
 One filter after the other in plain loops, so that a filter alone and inside a batch
 gets the same bits.
@@ -147,14 +147,6 @@ def observe(
         out[b, at] = _bounded(log(1.0 + since[b]))
         out[b, at + 1] = _bounded(log(_deviation(factor[b], position) / error_scale))
         out[b, at + 2] = _bounded(log(_deviation(factor[b], velocity) / (0.1 * error_scale)))
-
-
-@njit(cache=True)
-def improvement(nominal_squared, squared, cap, reward):
-    """Log of the nominal filter's RMS error over this one's, capped."""
-    for b in range(reward.shape[0]):
-        ratio = 0.5 * log((nominal_squared[b] + 1e-6) / (squared[b] + 1e-6))
-        reward[b] = max(-cap, min(cap, ratio))
 
 
 @njit
