@@ -91,6 +91,15 @@ def change(recording: Recording, **changes) -> Recording:
     return replace(recording, **changes)
 
 
+def truth_leaves(recording, k, scenario, far=2.0):
+    """The truth jumps so many loss distances away at index k: beyond one, the track is lost."""
+
+    def leave(truth):
+        truth[:, k:, scenario.motion.position[0]] += far * scenario.lost_distance
+
+    return change(recording, truth=leave)
+
+
 def play(env: gym.Env, actions, seed: int | None = None) -> list[tuple]:
     """Reset and step until the episode ends or the actions do: what came back, in order."""
     heard = [env.reset(seed=seed)]

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from kfenv.agents.contest.rollout import draw_episodes, rollout
 from kfenv.agents.contestants.agent import Briefing, channels_of, knob_actions
 from kfenv.agents.contestants.registry import AGENTS, make_agent
+from rollouts import INERTIAL
 
 from kfenv.envs.knobs import actions_for, knobs_of
 from kfenv.models.radar import radar
@@ -116,6 +118,24 @@ def test_fading_ignores_what_did_not_arrive():
     assert factors(agent.act(None, info([3, np.nan, np.nan], [2, np.nan, np.nan])))[
         0, 0
     ] == pytest.approx(7.0)
+
+
+@pytest.mark.parametrize("faults", ["paper", "random"])
+def test_fading_by_the_knob_is_the_fading_filter(faults):
+    """With the same points (no kappa) the rule and `ackf` part by rounding alone."""
+    place = (INERTIAL, {"faults": faults, "kappa": 0.0, "duration": 20.0})
+    recording = draw_episodes(*place, "test", 0, 4)
+    knob, filtered = (
+        rollout(make_agent(name), *place, recording, trace=True)
+        for name in ("innovation-fading", "ackf")
+    )
+    assert (knob.factors[..., 0] > 100.0).any()  # more than 10, and the filter follows
+    np.testing.assert_array_equal(knob.lost, filtered.lost)
+    np.testing.assert_allclose(knob.rmse, filtered.rmse, rtol=1e-6)
+    every_fix = slice(9, None, 10)
+    np.testing.assert_allclose(
+        knob.error[:-1], filtered.error[every_fix][: len(knob.error) - 1], rtol=1e-6, atol=1e-6
+    )
 
 
 def test_huber_weighs_and_the_gate_rejects_then_reopens():

@@ -28,6 +28,7 @@ SETTINGS = {
     "two per second": {"rate": 2.0, "duration": 6.0},
     "held actions": {"decision_interval": 3},
     "improvement": {"reward": "improvement", "decision_interval": 2},
+    "log": {"reward": "log-rmse", "decision_interval": 2},
     "some knobs": {"actions": ["process_noise", "measurement_noise"]},
     "another filter": {"filter": "srukf-joseph-prior", "duration": 1.0},
 }

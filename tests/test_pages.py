@@ -14,9 +14,9 @@ import pytest
 from gymnasium.envs.registration import load_env_creator
 from rollouts import GNSS, INERTIAL, TRACKING, VALIDATION, every_environment, make
 
-from kfenv.envs.core import REWARD_CAP
-from kfenv.envs.options import Options
+from kfenv.envs.options import REWARDS, Options
 from kfenv.envs.pages import compose, with_page
+from kfenv.envs.rewards import FLOOR, IMPROVEMENT_CAP
 from kfenv.envs.statistics import WINDOWS
 from kfenv.envs.wording import WIDTH, wrap
 from kfenv.models.gnss.receiver import range_deviation
@@ -95,8 +95,11 @@ def test_figures(env_id):
     assert f"position error above {scenario.lost_distance / 1e3:g} km" in " ".join(
         section(env_id, "Episode End").split()
     )
-    for cap in REWARD_CAP.values():
-        assert re.search(rf"\b{cap:g}\b", section(env_id, "Rewards"))
+    most = {"rmse": scenario.lost_distance / scenario.error_scale, "improvement": IMPROVEMENT_CAP}
+    for price in (*most.values(), FLOOR * scenario.error_scale):
+        assert re.search(rf"\b{price:g}\b", section(env_id, "Rewards"))
+    for name in REWARDS:
+        assert f'``"{name}"``' in section(env_id, "Rewards")
     assert f"({len(scenario.time)} by default)" in page(env_id)
     for deviation, state in zip(scenario.initial_deviations, scenario.motion.states, strict=True):
         told, unit = (np.degrees(deviation), "deg") if state.angle else (deviation, state.unit)

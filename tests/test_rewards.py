@@ -18,6 +18,7 @@ from rollouts import (
     play,
     random_actions,
     short,
+    truth_leaves,
     zeros,
 )
 from test_zero_action_is_nominal import nominal_run
@@ -209,15 +210,6 @@ def test_improvement_is_capped_both_ways(env_id, told, action, reward):
 
 
 # ----- losses ---------------------------------------------------------------------------
-
-
-def truth_leaves(recording, k, scenario, far=2.0):
-    """The truth jumps so many loss distances away at index k: beyond one, the track is lost."""
-
-    def leave(truth):
-        truth[:, k:, scenario.motion.position[0]] += far * scenario.lost_distance
-
-    return change(recording, truth=leave)
 
 
 @every_environment

@@ -1,5 +1,6 @@
 """Training: the adapter tells the truth, runs repeat, stop, resume and refuse bad input."""
 
+import itertools
 import json
 import signal
 
@@ -8,12 +9,18 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from hypothesis import given
+from hypothesis import strategies as st
+from rollouts import BISTATIC, change, draw, make, short, truth_leaves
+
+from kfenv.envs.options import REWARDS
 
 pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
 from kfenv.agents.contestants.policy import NumpyPolicy
 from kfenv.agents.learning import checkpoints, training
+from kfenv.agents.learning.scaling import scaling_for
 from kfenv.agents.learning.settings import PPOSettings, read_settings
 from kfenv.agents.learning.stable_baselines import VectorEnvAdapter
 from kfenv.agents.learning.training import TrainingInterrupted, train
@@ -95,6 +102,11 @@ def test_adapter_scales_and_limits_what_learning_sees_but_not_the_return():
     assert steps[0][1].tolist() == [0.5, 1.0, 1.5, 2.0]
     assert steps[4][1].max() == 2.0
     assert steps[4][3][3]["episode"]["r"] == 30.0
+
+
+def test_adapter_lets_an_episode_end_in_time_if_told():
+    steps = _adapted_steps(VectorEnvAdapter(Counting(), ends_in_time=True), 5)
+    assert not any(info["TimeLimit.truncated"] for info in steps[4][3][1:])
 
 
 def test_adapter_agrees_with_the_synchronous_vector_environment_under_it():
@@ -271,9 +283,9 @@ def test_resume_refuses_another_configuration_and_names_the_key(tiny, tmp_path):
         ({"env_kwargs": {"g": 5.0}}, "env_kwargs.g was None and is now 5.0"),
         ({"num_envs": 8}, "settings.num_envs was 4 and is now 8"),
     ]
-    for change, sentence in cases:
+    for other, sentence in cases:
         with pytest.raises(ValueError, match=f"cannot resume.*{sentence}; give the former value"):
-            tiny(resume=True, **change)
+            tiny(resume=True, **other)
     assert (tmp_path / "run" / "checkpoint.zip").read_bytes() == before
 
 
@@ -316,6 +328,71 @@ def test_bundled_settings_are_complete_and_use_large_minibatches():
     assert isinstance(settings, PPOSettings)
     assert settings.block // settings.minibatches >= 2048
     assert read_settings("sac").block > 0
+
+
+@pytest.mark.parametrize("reward", REWARDS)
+def test_losing_never_pays_as_learning_sees_it(reward):
+    """A track lost, or barely kept to the end: as long before it as may be, or just before."""
+    recording = draw(BISTATIC, [0], faults="none")
+    scenario = make(BISTATIC).scenario
+    deaf = change(recording, measurement=np.full_like(recording.measurement, np.nan))
+    for lost_at, gamma in itertools.product((0, 39, 40), (None, 0.5)):
+        learned = []
+        for far in (2.0, 0.9):
+            played = {"recording": truth_leaves(deaf, lost_at, scenario, far), "reward": reward}
+            overrides = {"num_envs": 1} | ({} if gamma is None else {"gamma": gamma})
+            settings = read_settings("ppo", None, reward, **overrides)
+            env = training.make_training_env(BISTATIC, short(BISTATIC) | played, settings)
+            env.reset()
+            value, done, weight = 0.0, [False], 1.0
+            while not done[0]:
+                _, earned, done, infos = env.step(np.zeros((1, *env.action_space.shape)))
+                value, weight = value + weight * float(earned[0]), weight * settings.gamma
+            assert not infos[0]["TimeLimit.truncated"]  # or what follows would be valued
+            learned.append(value)
+        assert learned[0] <= learned[1] + 1e-6
+
+
+@given(n=st.integers(1, 10_000), gamma=st.floats(0.0, 1.0, exclude_max=True))
+def test_no_play_costs_more_than_the_loss_under_improvement(n, gamma):
+    scale, limit, ends = scaling_for(BISTATIC, {"reward": "improvement"}, gamma)
+    worst_play = scale * 3.0 * np.sum(gamma ** np.arange(n))
+    assert ends and worst_play <= min(scale * 3.0 * n, limit) + 1e-9
+
+
+@pytest.mark.parametrize("reward", ["rmse", "log-rmse"])
+def test_under_the_returns_nothing_is_cut_and_the_worst_is_one(reward):
+    scale, limit, ends = scaling_for(BISTATIC, {"reward": reward}, 1.0)
+    worst = {"rmse": 100.0, "log-rmse": 0.5 * np.log1p(1000.0**2)}[reward]
+    assert scale == pytest.approx(1.0 / worst) and limit == np.inf and ends
+
+
+def test_a_discount_under_which_losing_is_free_is_refused(tiny, tmp_path):
+    config = f"gamma = 1.0\n{TINY['ppo']}"
+    for place in ({"env_id": BISTATIC}, {}):
+        with pytest.raises(ValueError, match=r"gamma = 1.0 .* a lost track would cost nothing"):
+            tiny(config=config, **place)
+    assert not (tmp_path / "run").exists()
+
+
+def test_settings_follow_the_reward(tmp_path):
+    path = tmp_path / "own.toml"
+    path.write_text("gamma = 0.7\n[log-rmse]\ngamma = 0.8\n")
+    assert read_settings("ppo", path, "log-rmse").gamma == 0.8
+    assert read_settings("ppo", path, "improvement").gamma == 0.7
+    assert read_settings("ppo", path).gamma == 0.7
+    path.write_text("[log-rmse]\ngama = 0.8\n")
+    with pytest.raises(ValueError, match="gamma"):
+        read_settings("ppo", path, "log-rmse")
+    path.write_text("[lograms]\ngamma = 0.8\n")
+    with pytest.raises(ValueError, match="lograms"):
+        read_settings("ppo", path, "log-rmse")
+
+
+@pytest.mark.parametrize("reward", REWARDS)
+def test_every_reward_trains_with_its_own_settings(tiny, reward, tmp_path):
+    tiny(env_id=BISTATIC, env_kwargs={"reward": reward, "duration": 2.0})
+    assert np.isfinite([row["mean_reward"] for row in _record(tmp_path / "run")["curve"]]).all()
 
 
 def test_training_on_radar_tracking_uses_the_improvement_as_reward(tiny, tmp_path):

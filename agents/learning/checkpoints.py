@@ -65,7 +65,6 @@ class Bookkeeper(BaseCallback):
         former = read_record(folder)
         self.curve: list[dict[str, Any]] = former.get("curve", [])
         self.seconds_before: float = former.get("seconds", 0.0)
-        self.reward_scale = 1.0 - settings.gamma
         self.reward_sum, self.reward_count = 0.0, 0
 
     def _on_training_start(self) -> None:
@@ -86,7 +85,7 @@ class Bookkeeper(BaseCallback):
             self.save()
 
     def _on_step(self) -> bool:
-        self.reward_sum += float(self.locals["rewards"].mean()) / self.reward_scale
+        self.reward_sum += float(self.locals["rewards"].mean()) / self.training_env.reward_scale
         self.reward_count += 1
         self.bar.advance(self.model.num_timesteps)
         return not self.stop.is_set()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import tomllib
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_type_hints
 
+from kfenv.envs.options import REWARDS
 from kfenv.names import unknown
 
 from ..contestants.policy import ACTIVATIONS
@@ -32,10 +32,6 @@ class Settings(ABC):
     """... and at the end, linear in between; set both alike for a constant rate."""
     gamma: float
     """Discount per step: the agent looks about 1 / (1 - gamma) steps ahead."""
-    reward_limit: float
-    """The environment's worst reward for one step (3 for kfenv's "improvement", 10 for "rmse").
-    Learning sees rewards times 1 - gamma, so that values are mean rewards, and cut to this limit.
-    A lost track, charged at once for all steps to come, so costs what they would discounted."""
     checkpoint_every: int
     """Environment steps between two checkpoints."""
     torch_threads: int
@@ -57,7 +53,6 @@ class Settings(ABC):
         if self.activation not in ACTIVATIONS:
             raise ValueError(unknown("activation", self.activation, ACTIVATIONS))
         _within(self, 0.0, 1.0, "learning_rate", "final_learning_rate", "gamma")
-        _within(self, 0.0, math.inf, "reward_limit")
 
 
 @dataclass(frozen=True)
@@ -135,15 +130,32 @@ ALGORITHMS: dict[str, type[Settings]] = {"ppo": PPOSettings, "sac": SACSettings}
 
 
 def read_settings(
-    algorithm: str, config_path: str | Path | None = None, **overrides: Any
+    algorithm: str,
+    config_path: str | Path | None = None,
+    reward: str | None = None,
+    **overrides: Any,
 ) -> Settings:
-    """Return the bundled settings, changed by the TOML file and then by `overrides`."""
+    """Return the bundled settings, changed by the TOML file and then by `overrides`.
+
+    Args:
+        algorithm: a name in `ALGORITHMS`.
+        config_path: a TOML file. In it, as in the bundled one, a table that is called like a
+            reward of kfenv holds what differs under that reward.
+        reward: of the environment, if it is one of kfenv.
+        overrides: by name.
+    """
     if algorithm not in ALGORITHMS:
         raise ValueError(unknown("algorithm", algorithm, ALGORITHMS))
-    values = tomllib.loads((files(__package__) / "config" / f"{algorithm}.toml").read_text())
-    if config_path is not None:
-        values |= _read_toml(Path(config_path))
-    return _typed(ALGORITHMS[algorithm], values | overrides)
+    bundled = tomllib.loads((files(__package__) / "config" / f"{algorithm}.toml").read_text())
+    given = _read_toml(Path(config_path)) if config_path is not None else {}
+    values = _under(reward, bundled) | _under(reward, given) | overrides
+    return _typed(ALGORITHMS[algorithm], values)
+
+
+def _under(reward: str | None, values: dict[str, Any]) -> dict[str, Any]:
+    """The values outside of the rewards' tables, changed by the reward's own."""
+    tables = {name: values.pop(name) for name in REWARDS if isinstance(values.get(name), dict)}
+    return values | tables.get(reward, {})
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

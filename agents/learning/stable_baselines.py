@@ -33,10 +33,16 @@ class VectorEnvAdapter(VecEnv):
         env: The vector environment, in same-step mode.
         reward_scale: Learning sees each reward times this ...
         reward_limit: ... and cut to this size. Returns in `episode` stay as the environment's.
+        ends_in_time: Whether the time limit is the end, beyond which nothing counts; otherwise
+            learning values what would have followed.
     """
 
     def __init__(
-        self, env: VectorEnv, reward_scale: float = 1.0, reward_limit: float = math.inf
+        self,
+        env: VectorEnv,
+        reward_scale: float = 1.0,
+        reward_limit: float = math.inf,
+        ends_in_time: bool = False,
     ) -> None:
         if env.metadata.get("autoreset_mode") != AutoresetMode.SAME_STEP:
             raise ValueError(
@@ -44,6 +50,7 @@ class VectorEnvAdapter(VecEnv):
                 "the same one: make it with autoreset_mode=AutoresetMode.SAME_STEP"
             )
         self.env, self.reward_scale, self.reward_limit = env, reward_scale, reward_limit
+        self.ends_in_time = ends_in_time
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self._start = time.monotonic()
         self._returns = np.zeros(self.num_envs)
@@ -72,7 +79,9 @@ class VectorEnvAdapter(VecEnv):
         for i in np.flatnonzero(dones):
             infos[i] = {
                 "terminal_observation": np.array(info["final_obs"][i]),
-                "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+                "TimeLimit.truncated": bool(
+                    truncated[i] and not (terminated[i] or self.ends_in_time)
+                ),
                 "episode": self._episode(i),
             }
         self._returns[dones] = 0.0

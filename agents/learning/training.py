@@ -44,6 +44,7 @@ from ..contest.rollout import find_spec
 from ..files import write_json
 from .checkpoints import Bookkeeper, load_checkpoint
 from .progress import TrainingProgress
+from .scaling import is_of_kfenv, reward_of, scaling_for
 from .settings import PPOSettings, SACSettings, Settings, read_settings
 from .stable_baselines import VectorEnvAdapter
 
@@ -87,8 +88,9 @@ def train(
         ValueError: An argument or a setting is wrong; the message says which and what to do.
     """
     _check_counts(steps, seed)
-    settings = read_settings(algorithm, config_path, **_given(num_envs=num_envs))
     env_kwargs = with_training_reward(env_id, env_kwargs or {})
+    reward = reward_of(env_id, env_kwargs)
+    settings = read_settings(algorithm, config_path, reward, **_given(num_envs=num_envs))
     config = _config(env_id, env_kwargs, algorithm, settings, seed, steps)
     folder = Path(output)
     _admit(folder, config, resume)
@@ -114,7 +116,7 @@ def training_seed(seed: int, steps_done: int = 0) -> int:
 
 def with_training_reward(env_id: str, env_kwargs: Mapping[str, Any]) -> dict[str, Any]:
     """Add reward="improvement" for an environment of kfenv, unless a reward is chosen."""
-    default = {"reward": "improvement"} if find_spec(env_id).namespace == "kfenv" else {}
+    default = {"reward": "improvement"} if is_of_kfenv(env_id) else {}
     return default | dict(env_kwargs)
 
 
@@ -122,13 +124,14 @@ def make_training_env(
     env_id: str, env_kwargs: Mapping[str, Any], settings: Settings
 ) -> VectorEnvAdapter:
     """Make a same-step vector environment for stable-baselines3: native where there is one."""
+    scaling = scaling_for(env_id, env_kwargs, settings.gamma)
     same_step = {"autoreset_mode": AutoresetMode.SAME_STEP}
     if find_spec(env_id).vector_entry_point is None:
         how = {"vectorization_mode": "sync", "vector_kwargs": same_step}
     else:
         how = {"vectorization_mode": "vector_entry_point", **same_step}
     vector = gym.make_vec(env_id, num_envs=settings.num_envs, **how, **env_kwargs)
-    env = VectorEnvAdapter(vector, 1.0 - settings.gamma, settings.reward_limit)
+    env = VectorEnvAdapter(vector, *scaling)
     for name in ("observation_space", "action_space"):
         space = getattr(env, name)
         if not isinstance(space, gym.spaces.Box) or len(space.shape) != 1:

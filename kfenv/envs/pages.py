@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from kfenv.envs import statistics
-from kfenv.envs.core import REWARD_CAP
 from kfenv.envs.fault_lists import known_faults, named_faults
 from kfenv.envs.knobs import (
     FADING,
@@ -28,7 +27,8 @@ from kfenv.envs.knobs import (
     Knob,
     knobs_of,
 )
-from kfenv.envs.options import ENGINE, GAUSSIAN_SUMS, Options
+from kfenv.envs.options import ENGINE, GAUSSIAN_SUMS, REWARDS, Options
+from kfenv.envs.rewards import FLOOR, IMPROVEMENT_CAP, worst
 from kfenv.envs.wording import factor, listed, table, wrap
 from kfenv.filters.adaptive import told_design
 from kfenv.models.model import Component
@@ -219,20 +219,28 @@ def _common_features() -> list[tuple[str, str]]:
 
 def rewards(scenario: Any) -> str:
     """What a decision earns."""
-    rmse, improvement = REWARD_CAP["rmse"], REWARD_CAP["improvement"]
+    scale, lost_distance = scenario.error_scale, scenario.lost_distance
+    most = [f"{round(worst(name, scale, lost_distance), 1):g}" for name in REWARDS]
     return _paragraphs(
         f"""
-        The error scale is {scenario.error_scale:g} m. Errors are those of the position, m, over
-        the filter steps of one decision.""",
+        The error scale is {scale:g} m. Errors are those of the position, m.""",
         f"""
-        - ``"rmse"`` (default): minus the RMS error over the error scale, at least {-rmse:g}.
+        - ``"rmse"`` (default): the undiscounted return of an episode is minus its RMSE over the
+          error scale, as contests count it. With M the sum of squared errors so far and N the
+          number of all instants of the episode that are scored, a decision earns minus what it
+          adds to sqrt(M / N) / scale.
+        - ``"log-rmse"``: the same with log sqrt(1 + M / N / floor^2), where the floor is
+          {FLOOR * scale:g} m. The return is minus the log of the RMSE over the floor as far as
+          the RMSE is above it; without the floor the first errors of an episode would be all.
         - ``"improvement"``: log of the RMS error of a nominal filter on the same measurements
-          over this filter's, between {-improvement:g} and {improvement:g}; of less variance,
-          for training.""",
+          over this filter's, within a decision, between {-IMPROVEMENT_CAP:g} and
+          {IMPROVEMENT_CAP:g}; of less variance, for training. Its sum weighs all decisions alike,
+          and so ranks agents otherwise than the RMSE.""",
         f"""
-        A lost track costs the cap ({rmse:g} or {improvement:g}) for that decision and each that
-        remained, so that losing it never pays. Without truth, and with the track kept, the reward
-        is zero.""",
+        A lost track pays at once for all that remained: {lost_distance / 1e3:g} km at every scored
+        instant, at most {most[0]} or, as a log, {most[1]} in all; with ``"improvement"``
+        {most[2]} for every decision. So losing it never pays. Without truth, and with the track
+        kept, the reward is zero.""",
     )
 
 
@@ -329,7 +337,7 @@ def options(scenario: Any) -> str:
     one = _if_rare(scenario, ", those from one measurement to the next")
     return _paragraphs(
         f"""
-        - ``reward``: ``"rmse"`` or ``"improvement"``, see Rewards.
+        - ``reward``: {listed(f'``"{name}"``' for name in REWARDS)}, see Rewards.
         - ``actions``: names of the knobs to expose, from the table above;
           ``"{MEASUREMENT_NOISE}"`` stands for the {len(scenario.sensor.groups)} noise knobs.
           Default all.

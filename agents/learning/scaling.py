@@ -1,0 +1,71 @@
+"""What learning sees of rewards: scaled by their own range, so that no lost track pays.
+
+Let w be the worst reward, or of "rmse" and "log-rmse" the worst return.
+
+* Of "improvement" (and of rewards whose range nobody knows) learning sees 1 - gamma times the
+  reward, so that values are mean rewards. With n decisions to go a loss costs the lesser of
+  n (1 - gamma) w and w, where it is cut; to keep the track costs w (1 - gamma^n) at most,
+  which is less than either.
+* Of the others it sees the reward over w. A loss costs at once what the episode can still
+  cost, and discounting only makes that cheaper to keep; so nothing may be cut.
+* A time limit is the end: beyond it learning would foresee costs that a loss escapes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from gymnasium.envs.registration import load_env_creator
+
+from kfenv.envs.rewards import IMPROVEMENT, worst
+
+from ..contest.rollout import find_spec, scenario_and_options
+
+
+class Scaling(NamedTuple):
+    """How `VectorEnvAdapter` shows rewards.
+
+    Attributes:
+        scale: learning sees each reward times this ...
+        limit: ... and cut to this size.
+        ends_in_time: whether nothing counts beyond a time limit.
+    """
+
+    scale: float
+    limit: float
+    ends_in_time: bool
+
+
+def is_of_kfenv(env_id: str) -> bool:
+    """Whether its rewards, and what a lost track costs, are known here."""
+    return hasattr(load_env_creator(find_spec(env_id).entry_point), "scenario_class")
+
+
+def reward_of(env_id: str, env_kwargs: Mapping[str, Any]) -> str | None:
+    """The reward's name, if the environment is one of kfenv."""
+    if not is_of_kfenv(env_id):
+        return None
+    return scenario_and_options(env_id, dict(env_kwargs))[1].reward
+
+
+def scaling_for(env_id: str, env_kwargs: Mapping[str, Any], gamma: float) -> Scaling:
+    """What learning with this discount sees of an environment's rewards.
+
+    Raises:
+        ValueError: if that were nothing, not even what a lost track costs.
+    """
+    reward = reward_of(env_id, env_kwargs)
+    if reward in (None, IMPROVEMENT):
+        if gamma == 1.0:
+            raise ValueError(
+                "setting gamma = 1.0 leaves nothing of rewards that learning sees times 1 - gamma, "
+                "and so a lost track would cost nothing: set it below 1, or train on kfenv's "
+                "reward 'rmse' or 'log-rmse'"
+            )
+        limit = math.inf if reward is None else worst(reward, 1.0, 1.0)
+        return Scaling(1.0 - gamma, limit, reward is not None)
+    scenario, _ = scenario_and_options(env_id, dict(env_kwargs))
+    most = worst(reward, scenario.error_scale, scenario.lost_distance)
+    return Scaling(1.0 / most, math.inf, True)
