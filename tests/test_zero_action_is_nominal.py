@@ -63,7 +63,7 @@ def test_every_knob_turns_the_filter(env_id):
 
 
 @every_environment
-@pytest.mark.parametrize("action", [0.1, -0.4])
+@pytest.mark.parametrize("action", [0.02, -0.4])
 def test_all_knobs_do_what_they_say(env_id, action):
     """A constant action is the engine run with its factors."""
     factor = {name: high**action if action > 0 else low**-action
@@ -83,6 +83,7 @@ def test_info_tells_the_knobs_applied(env_id):
     rng, zero = np.random.default_rng(0), zeros(env)
     known = ranges(env_id)
     for action in [*rng.uniform(-1, 1, (10, *zero.shape)), zero + 1.0, zero - 1.0, zero]:
+        env.reset(seed=0)  # a bad action may have lost the track
         told = env.step(action)[4]["knobs"]
         assert list(told) == list(known)
         for a, (name, (low, high)) in zip(action, known.items(), strict=True):
