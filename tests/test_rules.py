@@ -338,7 +338,7 @@ def test_strong_tracking_is_the_published_factor():
     agent = started("strong-tracking", {"weakening": 2.0, "noise": 2.0})
     # R = 4, H P H^T = 1: V = 36, then (0.95 36 + 49) / 1.95; lambda = tr(V - 2 R) / tr(H P H^T)
     first = factors_of(agent.act(None, info([6.0, 6.0, 6.0], 1.0)))[0]
-    np.testing.assert_allclose(first, [10.0, 1.0, 2.0, 2.0, 2.0])  # 28, but the knob ends
+    np.testing.assert_allclose(first, [28.0, 1.0, 2.0, 2.0, 2.0])
     second = factors_of(agent.act(None, info([0.0, np.nan, np.nan], 3.0)))[0]
     assert second[0] == pytest.approx((0.95 * 36.0 / 1.95 - 8.0) / 3.0)
 
