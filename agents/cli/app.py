@@ -13,6 +13,7 @@ from .environments import envs
 from .limit import limit
 from .reproduction import reproduce
 from .speed import bench
+from .suites import leaderboard, suite, suites
 from .training import train
 
 app = typer.Typer(
@@ -27,6 +28,9 @@ app.command()(envs)
 app.command()(train)
 app.command(epilog=FAMILY)(evaluate)
 app.command()(limit)
+app.command()(suites)
+app.command()(suite)
+app.command()(leaderboard)
 app.command()(reproduce)
 app.command()(bench)
 app.command()(demo)

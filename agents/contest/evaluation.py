@@ -38,6 +38,7 @@ class Contest:
         tuning_episodes: the same for every agent that has parameters.
         tuning_trials: settings that each may try for each of its parameters.
         tuning_kwargs: of the environment that agents are tuned in, if others than `env_kwargs`.
+            Its faults are then what they expect in the test as well.
         against: an agent that all are compared with besides the yardsticks.
     """
 
@@ -76,6 +77,15 @@ class Contest:
     def tuning_place(self) -> tuple[str, dict[str, Any]]:
         """The environment that agents are tuned in, and its keywords."""
         return self.env_id, self.env_kwargs if self.tuning_kwargs is None else self.tuning_kwargs
+
+    @property
+    def expected_place(self) -> tuple[str, dict[str, Any]]:
+        """The environment with the faults that agents expect: those that they were tuned to."""
+        if self.tuning_kwargs is None:
+            return self.env_id, self.env_kwargs
+        own = {key: value for key, value in self.env_kwargs.items() if key != "faults"}
+        expected = {key: value for key, value in self.tuning_kwargs.items() if key == "faults"}
+        return self.env_id, own | expected
 
 
 def evaluate(
@@ -139,7 +149,7 @@ def _results(contest: Contest, output: Path) -> list[dict[str, Any]]:
 def _complain_first(contest: Contest) -> None:
     """Meet what can be refused before anything is written."""
     place = (contest.env_id, contest.env_kwargs)
-    scenario, options = scenario_and_options(*place)
+    scenario, _ = scenario_and_options(*place)
     if scenario.recorded(contest.split, 1) is not None:
         check_log(*place, contest.split, contest.seed, contest.episodes)
         if contest.tuning_trials > 0:
@@ -150,7 +160,7 @@ def _complain_first(contest: Contest) -> None:
     episode = draw_episodes(*place, contest.split, contest.seed, 1)
     for contestant in map(make_agent, contest.all_agents):
         if isinstance(contestant, RecordingFilter):
-            contestant.check(scenario, options, episode)
+            contestant.check(*scenario_and_options(*contest.expected_place), episode)
 
 
 def check_log(
@@ -189,8 +199,10 @@ def run_agent(
             *contest.tuning_place, "tuning", contest.seed, contest.tuning_episodes
         )
         agent = tune(agent, *contest.tuning_place, recording, contest.tuning_trials, contest.seed)
-    place = (contest.env_id, contest.env_kwargs)
-    recording = draw_episodes(*place, contest.split, contest.seed, contest.episodes)
+    place = contest.expected_place
+    recording = draw_episodes(
+        contest.env_id, contest.env_kwargs, contest.split, contest.seed, contest.episodes
+    )
     scores = rollout(agent, *place, recording, contest.seed)
     cost = relative_cost(agent, *place, recording, contest.seed, scores.seconds)
     return scores, agent.values, cost

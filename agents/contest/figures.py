@@ -92,7 +92,7 @@ def _episode(contest: Contest, results: Sequence[dict[str, Any]], output: Path) 
     for result in _shown(results):
         agent = make_agent(result["given_as"])
         agent = agent.with_values(read_values(output, result["given_as"]))
-        scores = rollout(agent, contest.env_id, contest.env_kwargs, recording, contest.seed, True)
+        scores = rollout(agent, *contest.expected_place, recording, contest.seed, True)
         time = scores.time
         style = {"color": _colour(result, results), "lw": 1.3, "label": result["agent"]}
         top.plot(time, scores.error[:, 0], **style)
@@ -115,3 +115,24 @@ def _shown(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     always = ("fixed", "fixed-tuned", "clairvoyant")
     others = [r for r in _ranked(results) if r["agent"] not in always][:3]
     return [r for r in results if r["agent"] in always] + others
+
+
+def draw_error_against_cost(tested: Sequence[dict[str, Any]], path: Path) -> None:
+    """Write a figure of error against cost; hollow is who is shown what nobody knows."""
+    figure = Figure((8.0, 5.4), layout="constrained")
+    axes = figure.subplots()
+    for result in tested:
+        if result["cost"] is None:
+            continue
+        place = result["cost"], result["rmse_geometric_mean"]
+        face = "white" if "clairvoyant" in result["agent"] else COLOURS[4]
+        axes.plot(*place, "o", color=COLOURS[4], markerfacecolor=face)
+        axes.annotate(result["agent"], place, (5, 3), textcoords="offset points", fontsize=8)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlabel("CPU time of filter and agent, the bare engine's predict and update = 1")
+    axes.set_ylabel("geometric mean of the position RMSE, m")
+    episodes = tested[0]["episodes"]
+    axes.set_title(f"{tested[0]['suite']}: {episodes} unseen episodes", loc="left")
+    clean(axes)
+    save(figure, path)

@@ -1,0 +1,215 @@
+"""Running a frozen suite: one contest per case, tuned once, in a folder that resumes."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kfenv.names import unknown
+
+from ..contestants.registry import make_agent
+from ..files import write_json
+from .evaluation import Contest, evaluate
+from .recording_hash import recording_hash
+from .rollout import draw_episodes, scenario_and_options
+from .suites import IN_DISTRIBUTION, Case, Suite, find_suite
+
+HASHED = 2  # episodes of each case, and of those that agents are tuned on
+
+
+@dataclass(frozen=True)
+class SuiteRun:
+    """What is asked of a suite.
+
+    Attributes:
+        name: of the suite.
+        agents: names or paths.
+        cases: only these, besides the one in distribution, in which agents are tuned; None for
+            all.
+        episodes: at most so many of each case, for a first look; None for all.
+        tracks: files of real flights, each a case of its own.
+        against: an agent that all are compared with.
+    """
+
+    name: str
+    agents: tuple[str, ...]
+    cases: tuple[str, ...] | None = None
+    episodes: int | None = None
+    tracks: tuple[Path, ...] = ()
+    against: str | None = None
+
+    @property
+    def suite(self) -> Suite:
+        """The suite of that name."""
+        return find_suite(self.name)
+
+    @property
+    def chosen(self) -> dict[str, Case]:
+        """The cases to run, in distribution first.
+
+        Raises:
+            ValueError: for an unknown case.
+        """
+        known = self.suite.cases | track_cases(self.suite, self.tracks)
+        for case in self.cases or ():
+            if case not in known:
+                raise ValueError(unknown("case", case, known))
+        wanted = known if self.cases is None else {IN_DISTRIBUTION, *self.cases}
+        return {name: case for name, case in known.items() if name in wanted}
+
+    def contest(self, case: Case, agents: tuple[str, ...]) -> Contest:
+        """The contest of a case, with the suite's tuning."""
+        suite = self.suite
+        episodes = min(case.episodes, self.episodes or case.episodes)
+        own = dict(suite.kwargs) | dict(case.kwargs)
+        return Contest(
+            suite.env_id, own, agents, episodes, suite.seed, suite.tuning_episodes,
+            suite.tuning_trials, tuning_kwargs=dict(suite.kwargs), against=self.against,
+        )  # fmt: skip
+
+
+def run_suite(
+    run: SuiteRun,
+    output: Path,
+    processes: int = 2,
+    resume: bool = False,
+    started: Callable[[int], None] = lambda total: None,
+    advance: Callable[[str], None] = lambda what: None,
+) -> list[dict[str, Any]]:
+    """Run the cases of a suite and write ``results.json`` into a folder, with a folder for each.
+
+    The case in distribution comes first: what is tuned there serves all the others. A folder
+    that resumes keeps its agents and takes more.
+
+    Returns:
+        An object per case and agent: a contest's, with the case, the suite, the hash of its
+        recordings, whether it was shortened, and the machine.
+
+    Raises:
+        FileExistsError: if the folder holds anything and ``resume`` is not set.
+        ValueError: if it holds another suite, or an agent or case is unknown.
+    """
+    cases, told = run.chosen, _told(run)
+    agents = _admit(output, told, run.agents, resume)
+    contests = {name: run.contest(case, agents) for name, case in cases.items()}
+    started(sum(len(contest.all_agents) for contest in contests.values()))
+    write_json(output / "suite.json", told | {"agents": agents})
+    first = output / IN_DISTRIBUTION
+    for name, contest in contests.items():
+        evaluate(
+            contest, output / name, processes, resume=True,
+            advance=lambda agent, name=name: advance(f"{name}: {agent}"),
+            tuned=None if name == IN_DISTRIBUTION else first,
+        )  # fmt: skip
+    results = _gather(run, output, told)
+    write_json(output / "results.json", results)
+    return results
+
+
+def hash_of(suite: Suite) -> str:
+    """The hash of a suite's recordings: the first episodes of tuning and of every case."""
+    recordings = [_first(suite, {}, "tuning")]
+    recordings += [_first(suite, case.kwargs, "test") for case in suite.cases.values()]
+    return recording_hash(recordings)
+
+
+def _first(suite: Suite, kwargs: Mapping[str, Any], split: str) -> Any:
+    return draw_episodes(suite.env_id, dict(suite.kwargs) | dict(kwargs), split, suite.seed, HASHED)
+
+
+def track_cases(suite: Suite, tracks: Sequence[Path]) -> dict[str, Case]:
+    """A case for each real flight, named after its file.
+
+    Args:
+        tracks: CSV files, or folders of them.
+
+    Raises:
+        ValueError: if the suite's environment cannot fly them, or a folder has none.
+    """
+    files = [file for path in tracks for file in _csv_files(path)]
+    scenario, _ = scenario_and_options(suite.env_id, dict(suite.kwargs))
+    if files and "track" not in [item.name for item in fields(scenario)]:
+        raise ValueError(f"{suite.env_id} flies no tracks: leave them out.")
+    return {
+        f"flight-{file.stem}": Case("a real flight", {"track": str(file.resolve())}, 100)
+        for file in files
+    }
+
+
+def _csv_files(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    found = sorted(path.glob("*.csv"))
+    if not found:
+        raise ValueError(f"The folder {path} holds no CSV file of a flight.")
+    return found
+
+
+def _told(run: SuiteRun) -> dict[str, Any]:
+    """What a folder of results says of the suite."""
+    suite = run.suite
+    return {
+        "suite": run.name,
+        "version": suite.version,
+        "recordings": hash_of(suite),
+        "episodes_at_most": run.episodes,
+    }
+
+
+def _admit(output: Path, told: dict[str, Any], agents: tuple[str, ...], resume: bool) -> tuple:
+    """The agents that the folder then has; complains before anything is touched."""
+    for agent in agents:
+        make_agent(agent)  # complains
+    path = output / "suite.json"
+    if not output.exists() or (output.is_dir() and not any(output.iterdir())):
+        output.mkdir(parents=True, exist_ok=True)
+        return agents
+    if not resume:
+        raise FileExistsError(
+            f"The folder {output} is not empty: name another, or go on with --resume."
+        )
+    held = json.loads(path.read_text()) if path.exists() else {}
+    if any(held.get(key) != value for key, value in told.items()):
+        raise ValueError(
+            f"The folder {output} holds another suite, other recordings or another number of "
+            "episodes: name another folder, or repeat the options that it was begun with."
+        )
+    return tuple(dict.fromkeys((*held["agents"], *agents)))
+
+
+def _gather(run: SuiteRun, output: Path, told: dict[str, Any]) -> list[dict[str, Any]]:
+    """The results of every case that the folder holds."""
+    known = run.suite.cases | track_cases(run.suite, run.tracks)
+    about = told | {"machine": machine()}
+    return [
+        {"case": name, "what": case.what} | result | about
+        for name, case in known.items()
+        if (output / name / "results.json").exists()
+        for result in json.loads((output / name / "results.json").read_text())
+    ]
+
+
+def machine() -> dict[str, Any]:
+    """What computed, as far as costs may depend on it."""
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "system": platform.system(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+    }
+
+
+def _processor() -> str:
+    """The processor's model, or at least its kind."""
+    information = Path("/proc/cpuinfo")
+    lines = information.read_text().splitlines() if information.exists() else []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return models[0] if models else platform.machine()
