@@ -22,7 +22,7 @@ def kfenv(*arguments):
 
 def test_help_names_every_command():
     text = kfenv("--help").output
-    for command in ("envs", "train", "evaluate", "bench", "demo"):
+    for command in ("envs", "train", "evaluate", "suite", "leaderboard", "bench", "demo"):
         assert command in text
 
 

@@ -191,7 +191,7 @@ def test_nis_is_that_of_the_update_not_of_the_look():
 
 def test_cost_is_relative_to_the_bare_engine():
     """The nominal filter is the engine, and who looks and thinks costs more (shared machines)."""
-    recording = draw_episodes(ENV, SHORT, "test", 3, 200)
+    recording = draw_episodes(ENV, SHORT, "test", 3, 60)
     seconds = {
         name: rollout(make_agent(name), ENV, SHORT, recording).seconds
         for name in ("fixed", "hmm-noise")

@@ -36,7 +36,7 @@ def suite(
     output: Annotated[Path, typer.Option(help="New folder for results.")],
     agent: Annotated[
         list[str] | None,
-        typer.Option(help="As of `kfenv evaluate`; repeat. Default: every rule, bank and limit."),
+        typer.Option(help="As of `kfenv evaluate`; repeat. Default: all but the fixed family."),
     ] = None,
     case: Annotated[
         list[str] | None, typer.Option(help="Only this case, and the one in distribution; repeat.")
@@ -61,11 +61,11 @@ def suite(
     import kfenv  # noqa: F401  (registers the environments)
 
     from ..contest.suite_run import SuiteRun, run_suite
-    from ..contestants.registry import AGENTS, BANKS
+    from ..contestants.registry import AGENTS, FILTERS
 
     with complaints():
         run = SuiteRun(
-            name, tuple(agent or (*AGENTS, *BANKS)), tuple(case) if case else None, episodes,
+            name, tuple(agent or (*AGENTS, *FILTERS)), tuple(case) if case else None, episodes,
             tuple(tracks or ()), against,
         )  # fmt: skip
         with progress() as bar:

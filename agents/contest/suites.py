@@ -149,7 +149,7 @@ SUITES = {
         episodes=200,
     ),
     "ins-gnss": Suite(
-        1, "c6b4fe2d5793a988", "kfenv/InsGnss-v0", {"faults": "random"},
+        1, "983283a3c3841ae3", "kfenv/InsGnss-v0", {"faults": "random"},
         {
             "harder-jamming": Case(
                 "a jamming burst of 10 to 31 times",
