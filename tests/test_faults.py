@@ -211,7 +211,7 @@ def test_presets(env_id):
     assert scenario.faults == PECULIAR[env_id].default_faults
 
 
-def test_the_published_case_is_flown_whole():
+def test_the_papers_case_is_flown_whole():
     env = gym.make(TRACKING, faults="paper").unwrapped
     recording = env.scenario.sample([np.random.default_rng(0)])
     assert recording.faults == ((("jamming", 70.0, 100.0), ("signal loss", 150.0, 160.0)),)

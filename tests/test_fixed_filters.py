@@ -49,7 +49,7 @@ def test_every_design_takes_part(name, episodes):
 
 
 def test_the_filter_that_rounding_makes_diverge_loses_where_its_cure_does_not():
-    """SPEC 2.3 and claim C1, over the published 250 s at 10 Hz."""
+    """SPEC 2.3 and claim C1, over trajectory A's 250 s at 10 Hz."""
     recording = draw_episodes(VALIDATION, {}, "test", 0, 4)
     printed, cured = (
         rollout(make_agent(f"ekf-{form}"), VALIDATION, {}, recording)

@@ -136,6 +136,7 @@ class TestCommand:
         for folder in (tmp_path / "out", tmp_path / "out" / "tiny"):
             (claim,) = json.loads((folder / "claims.json").read_text())
             assert claim["measured"] == "0 of 4" and claim["verdict"] == HOLDS
+            assert (claim["runs"], claim["seed"]) == (4, 0)
             assert "nothing \\| is lost" in (folder / "claims.md").read_text()
         assert (tmp_path / "out" / "tiny" / "empty.png").read_bytes().startswith(b"\x89PNG")
 

@@ -11,7 +11,7 @@ from .contest import evaluate
 from .demo import demo
 from .environments import envs
 from .limit import limit
-from .reproduction import reproduce
+from .reproduction import claims, reproduce
 from .speed import bench
 from .suites import leaderboard, suite, suites
 from .training import train
@@ -32,5 +32,6 @@ app.command()(suites)
 app.command()(suite)
 app.command()(leaderboard)
 app.command()(reproduce)
+app.command()(claims)
 app.command()(bench)
 app.command()(demo)

@@ -1,4 +1,4 @@
-"""The command that repeats the published experiments."""
+"""The commands that repeat the papers' experiments and tell what came of it."""
 
 from __future__ import annotations
 
@@ -49,3 +49,23 @@ def reproduce(
             claims = run_experiments(names, output, runs, seed, processes, resume, bar, satellites)
         console.print(claims_table(claims))
         console.print(f"Figures and claims: {output}")
+
+
+def claims(
+    folder: Annotated[
+        Path | None,
+        typer.Argument(help="Of a finished `kfenv reproduce`; the kept full run by default."),
+    ] = None,
+    readme: Annotated[
+        Path | None, typer.Option(help="Markdown file whose table of claims is to be renewed.")
+    ] = None,
+) -> None:
+    """Tell which of the papers' claims hold, as the full run found."""
+    from ..reproduction.claims import claims_table
+    from ..reproduction.summary import KEPT, read_claims, write_summary
+
+    with complaints():
+        found = read_claims(KEPT if folder is None else folder / "claims.json")
+        console.print(claims_table(found))
+        if readme is not None:
+            write_summary(found, readme)

@@ -1,4 +1,4 @@
-"""Published claims: what was printed, what was measured, and whether it holds."""
+"""The papers' claims: what was printed, what was measured, and whether it holds."""
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ class Claim:
         statement: the claim in a few words.
         printed: paper and place; S0 De Vivo et al. 2017, S1 De Vivo et al. 2016,
             S3 Lazarov et al., S4 Benzerrouk et al. 2014.
-        measured: the numbers with their spread.
+        measured: the numbers with their spread; the first sentence stands alone in the README.
         verdict: one of `VERDICTS`, decided by the numbers.
+        runs, seed: of the experiment; given when it is done.
     """
 
     name: str
@@ -39,6 +40,8 @@ class Claim:
     printed: str
     measured: str
     verdict: str
+    runs: int = 0
+    seed: int = 0
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:
@@ -55,13 +58,17 @@ def judge(holds: bool, reason_holds: bool = True) -> str:
 def write_claims(claims: Sequence[Claim], folder: Path) -> None:
     """Write ``claims.json`` and ``claims.md``."""
     write_json(folder / "claims.json", [asdict(claim) for claim in claims])
-    header = ("claim", "printed in", "measured", "verdict")
-    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+    lines = [row("claim", "printed in", "measured", "verdict"), "|---|---|---|---|"]
     for claim in claims:
-        cells = (f"{claim.name}: {claim.statement}", claim.printed, claim.measured, claim.verdict)
-        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+        name = f"{claim.name}: {claim.statement}"
+        lines.append(row(name, claim.printed, claim.measured, claim.verdict))
     with written_whole(folder / "claims.md") as file:
         file.write(("\n".join(lines) + "\n").encode())
+
+
+def row(*cells: str) -> str:
+    """A row of a Markdown table."""
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
 def claims_table(claims: Sequence[Claim]) -> Table:

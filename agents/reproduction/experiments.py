@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -107,6 +108,7 @@ def reproduce(
         found = experiment.reproduce(
             Laboratory(folder, runs or experiment.runs, seed, processes, progress, almanac)
         )
+        found = [replace(claim, runs=runs or experiment.runs, seed=seed) for claim in found]
         write_claims(found, folder)
         claims += found
     write_claims(claims, output)

@@ -67,16 +67,16 @@ def accuracy(study: Study, outcomes: dict[str, Outcome], name: str) -> list[Clai
             f"C3 ({name})",
             "the UKF is more accurate than the EKF",
             "S0, S1 sec. 4",
-            f"RMSE x/y/z after {SETTLED:g} s, m: {axes}. EKF-J less UKF-J on the same noise: "
-            f"{with_interval(over_ekf)} of {typical:.0f}; less than {MATTERS:.0%} counts as none"
-            f"{unsure(over_ekf, typical)}",
+            f"RMSE of EKF-J less UKF-J on the same noise: {with_interval(over_ekf)} of "
+            f"{typical:.0f}; less than {MATTERS:.0%} counts as none{unsure(over_ekf, typical)}. "
+            f"RMSE x/y/z after {SETTLED:g} s, m: {axes}",
             judge(matters(over_ekf, typical)),
         ),
         Claim(
             f"C4 ({name})",
             "the Joseph sigma-point filter is more accurate than the classical one",
             "S1 Fig. 5",
-            f"UKF less UKF-J: {with_interval(over_classical)} of {typical:.0f}; less than "
+            f"RMSE of UKF less UKF-J: {with_interval(over_classical)} of {typical:.0f}; less than "
             f"{MATTERS:.0%} counts as none{unsure(over_classical, typical)}",
             judge(matters(over_classical, typical)),
         ),

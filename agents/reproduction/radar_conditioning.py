@@ -84,33 +84,35 @@ def conditioning(study: Study, outcomes: dict[str, Outcome], name: str) -> Claim
         f"C5 ({name})",
         "the square-root filter is two orders of magnitude better conditioned",
         "S0 Fig. 9",
-        f"median κ(P) of the UKF {np.nanmedian(full):.2g} (at most {np.nanmax(full):.2g}), UKF-J "
-        f"{np.nanmedian(joseph):.2g}; κ(S) of SRUKF {classical:.2g}, of SRUKF-J "
-        f"{np.nanmedian(root):.2g}, {ratio:.0f} times less. κ(S)² of SRUKF-J is UKF-J's κ(P) "
-        f"to {mismatch:.0e} at worst"
-        + (": the same information in half the digits" if same else ""),
+        f"median κ(S) of SRUKF-J {np.nanmedian(root):.2g}, {ratio:.0f} times less than the UKF's "
+        f"κ(P); κ(S)² is UKF-J's κ(P) to {mismatch:.0e} at worst"
+        + (": the same information in half the digits" if same else "")
+        + f". Median κ(P) of the UKF {np.nanmedian(full):.2g} (at most {np.nanmax(full):.2g}), "
+        f"UKF-J {np.nanmedian(joseph):.2g}; κ(S) of SRUKF {classical:.2g}",
         judge(ratio > 30.0, reason_holds=not same),
     )
 
 
 def never_fails(vague: dict[str, tuple[Study, dict[str, Outcome]]], name: str) -> Claim:
     """Tracks lost from vague priors, studies and outcomes by the prior's spread."""
-    told, printed_lost, spared = [], 0, 0
+    told, brief, printed_lost, spared = [], [], 0, 0
     for spread, (study, outcomes) in vague.items():
         lost = {label: int(_astray(study, o).sum()) for label, o in outcomes.items()}
         printed_lost += lost["SRUKF-J"]
         spared += lost["SRUKF-J, H at prior"]
         listed = ", ".join(f"{label} {count}" for label, count in lost.items())
-        told.append(f"prior {spread}, of {study.runs} runs lost: {listed}")
+        told.append(f"prior {spread}: {listed}")
+        brief.append(f"{lost['SRUKF-J']} of {study.runs} with a prior of {spread}")
     blamed = printed_lost > 0 and spared == 0
     steps = [int(np.max(o["UKF-J, H at prior"].indefinite)) for _, o in vague.values()]
     return Claim(
         f"C9 ({name})",
         "SRUKF-Joseph never fails",
         "S0, S1 conclusions",
-        f"{'; '.join(told)}. UKF-J with H at the prior has an indefinite P in up to {max(steps)} "
-        "steps of a run"
-        + (". It is the Jacobian at the posterior that loses SRUKF-J's tracks" if blamed else ""),
+        f"SRUKF-J loses {', '.join(brief)}"
+        + (", all by the Jacobian at the posterior" if blamed else "")
+        + f". Lost, {'; '.join(told)}. UKF-J with H at the prior has an indefinite P in up to "
+        f"{max(steps)} steps of a run",
         judge(printed_lost == 0),
     )
 

@@ -218,6 +218,9 @@ def _signal_lost(study: Study, gaps: dict[float, Outcomes], bare: dict[float, Ou
             f"{k} {n}" + (f" ({without[k]})" if k in without else "") for k, n in counts.items()
         )
         told.append(f"{loss:g} s: {', '.join(listed)}")
+    classical = ", ".join(
+        f"{_lost(found, LOSS_START)['UKF']} for {loss:g} s" for loss, found in gaps.items()
+    )
     contrast = [
         found[method.label] for found in (*gaps.values(), *bare.values()) for method in CONTRAST
     ]
@@ -227,7 +230,8 @@ def _signal_lost(study: Study, gaps: dict[float, Outcomes], bare: dict[float, Ou
         "C7b (E3)",
         "the UKF diverges when the signal is lost",
         "S0 sec. 5.1",
-        f"of {study.runs} runs lost from {LOSS_START:g} s on, in brackets without the speed floor, "
+        f"of {study.runs} runs without a signal the UKF loses {classical}. All that are lost from "
+        f"{LOSS_START:g} s on, in brackets without the speed floor, "
         "but with the clip of the turn rate, of the motion model; "
         f"κ = {KAPPA:g} unless told. Loss of {'; '.join(told)}. Of the "
         f"{astray} losses with κ = -6, whose central weight is negative, {rootless} are of the "

@@ -1,4 +1,4 @@
-"""The radar environments: tracking under faults, and the published validation case."""
+"""The radar environments: tracking under faults, and the papers' validation case."""
 
 from kfenv.envs.pages import with_page
 from kfenv.envs.tracking import TrackingEnv, TrackingVectorEnv
@@ -35,7 +35,7 @@ class RadarTrackingEnv(TrackingEnv):
 
     ## Starting State
     {random_flight} and within coverage (1.5 to 17 km, 55 deg off a broadside 20 deg above
-    north); trajectory B of the paper with ``faults="paper"``; or a window of ``track``.
+    north); trajectory B with ``faults="paper"``; or a window of ``track``.
     {initial_deviations}.
 
     {first_decision}
@@ -51,8 +51,9 @@ class RadarTrackingEnv(TrackingEnv):
     - ``faults``: what spoils an episode.
 
       - ``"random"`` (default): {preset[random]}.
-      - ``"paper"``: the published case. Trajectory B, a jammer carried by the target, of whose
-        noise the filter is told, and a gap: {preset[paper]}.
+      - ``"paper"``: the paper's case, whose flight, gap and times are ours. Trajectory B, a
+        jammer carried by the target, of whose noise the filter is told, and a gap:
+        {preset[paper]}.
       - ``"none"``.
       {other_faults}
 
@@ -82,7 +83,7 @@ class RadarTrackingVectorEnv(TrackingVectorEnv):
 
 @with_page
 class RadarValidationEnv(TrackingEnv):
-    """The published validation case: constant acceleration, fixed radar noise.
+    """The papers' validation case: constant acceleration, fixed radar noise.
 
     ## Description
     A radar at the origin measures range, azimuth (clockwise from north) and elevation of
@@ -107,9 +108,9 @@ class RadarValidationEnv(TrackingEnv):
     {rewards}
 
     ## Starting State
-    The flight is trajectory A of the paper ({flight.PAPER_SPEED[A]:g} m/s, closest approach
-    922 m at 75 s; after {scenario.duration:g} s it flies straight on), or a window of
-    ``track``. {initial_deviations}.
+    The flight is trajectory A, ours since no paper gives its own ({flight.PAPER_SPEED[A]:g} m/s,
+    closest approach 922 m at 75 s; after {scenario.duration:g} s it flies straight on), or a
+    window of ``track``. {initial_deviations}.
 
     {first_decision}
 
@@ -124,7 +125,7 @@ class RadarValidationEnv(TrackingEnv):
       by default the published ones of the rate.
     - ``faults``: what spoils an episode.
 
-      - ``"none"`` (default) and ``"paper"``: nothing, as published.
+      - ``"none"`` (default) and ``"paper"``: nothing, as in the papers.
       - ``"random"``: {preset[random]}.
       {other_faults}
 

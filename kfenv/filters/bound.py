@@ -42,7 +42,7 @@ def cramer_rao_bound(
     It bounds the mean square over an ensemble: of initial states with the given
     covariance, and of flights drawn from the motion model, its noise included. On one
     given flight, or on flights not drawn from the model, a filter may lie below it: it
-    gains wherever less happens than its model allows. (On the published trajectory A the
+    gains wherever less happens than its model allows. (On trajectory A the
     filters' RMSE is 4 to 8 % below it.) What a process noise that depends on the state
     tells of the state is left out.
 

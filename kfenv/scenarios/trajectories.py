@@ -1,4 +1,4 @@
-"""Aircraft trajectories about a radar: the papers' two, and random manoeuvres for training.
+"""Aircraft trajectories about a radar: two for the papers' cases, and random ones for training.
 
 A trajectory is an array (T, 9) of axis-major states [x, vx, ax, y, vy, ay, z, vz, az]
 (x east, y north, z up, radar at the origin; SPEC section 1). Three commands fly the
@@ -34,7 +34,8 @@ from kfenv.scenarios.coverage import (
 
 Array = NDArray[np.float64]
 
-# The papers' trajectories (SPEC 7.1): (begin s, end s, rate in deg/s or m/s).
+# For the papers' cases (SPEC 7.1): no paper gives its trajectory, these are ours, drawn to fill
+# the axes of the papers' figures: (begin s, end s, rate in deg/s or m/s).
 PAPER_SPEED = {"A": 133.0, "B": 130.0}  # m/s
 PAPER_START = {"A": (-10_000.0, 1_000.0, 300.0), "B": (-6_500.0, 6_500.0, 400.0)}  # m
 PAPER_TURNS = {
@@ -97,7 +98,7 @@ STYLES = {
 
 
 def paper_trajectory(name: Literal["A", "B"], time: ArrayLike) -> Array:
-    """Return trajectory A or B of SPEC 7.1.
+    """Return trajectory A or B of SPEC 7.1, ours: no paper tells how its aircraft flew.
 
     The raised-cosine edges (3 s of heading rate, 8 s of climb) lie inside the stated
     windows: a command leaves zero at a window's begin and is back there at its end.

@@ -32,7 +32,7 @@ DURATION, PAPER_DURATION = 120.0, 250.0  # s, unless told; 250 s is the whole of
 class RadarTracking(RadarScenario):
     """The scenario of ``kfenv/RadarTracking-v0``.
 
-    The duration is by default that of the published case, or that of a training episode.
+    The duration is by default that of the paper's case, or that of a training episode.
     """
 
     duration: float | None = None
@@ -78,7 +78,7 @@ class RadarTracking(RadarScenario):
         return variable_turn(1.0)
 
     def trajectory(self, rng: Generator) -> Array:
-        """Trajectory B in the published case, the given track, or a random flight."""
+        """Trajectory B in the paper's case, the given track, or a random flight."""
         if self.track is not None:
             return super().trajectory(rng)
         if self.faults == "paper":

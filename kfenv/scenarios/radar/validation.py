@@ -1,4 +1,7 @@
-"""The published validation cases: constant acceleration, fixed radar noise (SPEC 7.1 E1, E2)."""
+"""The papers' validation cases: constant acceleration, fixed radar noise (SPEC 7.1 E1, E2).
+
+Rates and noise are published; flight, initial deviation and process noise are ours.
+"""
 
 from __future__ import annotations
 
