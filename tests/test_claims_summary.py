@@ -31,7 +31,7 @@ def kfenv(*arguments):
 
 
 def test_the_readme_shows_the_kept_run():
-    shown = README.read_text().partition(BEGIN)[2].partition(END)[0].strip()
+    shown = README.read_text(encoding="utf-8").partition(BEGIN)[2].partition(END)[0].strip()
     assert shown == summary(read_claims(KEPT))
 
 

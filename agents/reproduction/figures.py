@@ -143,7 +143,7 @@ def condition(time: Array, outcomes: Mapping[str, Outcome]) -> Figure:
     for style, (label, outcome) in enumerate(rooted.items()):
         line = _style(style, len(others))
         squared = np.nanmedian(outcome.root_condition**2, axis=0)
-        right.plot(time, squared, **line | {"lw": 3.5, "alpha": 0.4}, label=f"{label}: κ(S)²")
+        right.plot(time, squared, color=line["color"], lw=3.5, alpha=0.4, label=f"{label}: κ(S)²")
         _spread(right, time, outcome.root_condition, f"{label}: κ(S)", line)
     left.set_title("κ(P) of the covariance: median, thin the worst run", loc="left", fontsize=10)
     right.set_title("κ(S) of the square root, and its square", loc="left", fontsize=10)

@@ -29,7 +29,7 @@ def read_claims(path: Path) -> list[Claim]:
         ValueError: if the file holds none.
     """
     try:
-        return [Claim(**fields) for fields in json.loads(path.read_text())]
+        return [Claim(**fields) for fields in json.loads(path.read_text(encoding="utf-8"))]
     except (TypeError, json.JSONDecodeError):
         raise ValueError(
             f"{path} holds no claims: give a folder that `kfenv reproduce` wrote."
@@ -82,7 +82,7 @@ def write_summary(claims: Sequence[Claim], readme: Path) -> None:
     Raises:
         ValueError: if it has not both markers, once and in order.
     """
-    head, begin, rest = readme.read_text().partition(BEGIN)
+    head, begin, rest = readme.read_text(encoding="utf-8").partition(BEGIN)
     _, end, tail = rest.partition(END)
     if not begin or not end:
         raise ValueError(f"{readme} has no lines {BEGIN} and {END} for the table to stand between.")
