@@ -42,8 +42,13 @@ def test_a_row_tells_claim_numbers_and_verdict():
         "| E1 does not hold, E2 holds |",
         "| E3 rain: it is survived (S0 sec. 5.1) | E3: lost: 0 | holds |",
         "",
-        "Runs: E1 500, E2 500, E3 3 (default 40), hard 200; seed 0.",
+        "Runs: E1 500, E2 500, E3 3 of 40, hard 200; seed 0. "
+        "**A short run: more may change verdicts.**",
     ]
+
+
+def test_a_full_run_is_not_called_short():
+    assert summary(CLAIMS[:2]).endswith("\n\nRuns: E1 500, E2 500; seed 0.")
 
 
 @pytest.mark.parametrize("change", [{"verdict": HOLDS}, {"measured": "0.6 m"}, {"runs": 4}])

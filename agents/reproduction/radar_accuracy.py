@@ -13,7 +13,7 @@ from kfenv.scenarios.trajectories import drawn_trajectory, paper_trajectory
 
 from . import figures
 from .bounds import bound, over_bound
-from .claims import Claim, judge, with_interval
+from .claims import Claim, judge, too_few, with_interval
 from .comparisons import (
     MATTERS,
     ROUNDING,
@@ -84,7 +84,8 @@ def accuracy(study: Study, outcomes: dict[str, Outcome], name: str) -> list[Clai
             f"C4b ({name})",
             "estimates are in line with the classical formulation",
             "S1 conclusion",
-            f"the same difference, {share:.3%} of the RMSE",
+            f"the RMSE of UKF less UKF-J is {share:.3%} of it"
+            f"{too_few(over_classical, MATTERS * typical)}",
             judge(share < MATTERS),
         ),
         Claim(

@@ -84,11 +84,11 @@ def conditioning(study: Study, outcomes: dict[str, Outcome], name: str) -> Claim
         f"C5 ({name})",
         "the square-root filter is two orders of magnitude better conditioned",
         "S0 Fig. 9",
-        f"median κ(S) of SRUKF-J {np.nanmedian(root):.2g}, {ratio:.0f} times less than the UKF's "
+        f"median κ(S) of SRUKF-J {np.nanmedian(root):.0f}, {ratio:.0f} times less than the UKF's "
         f"κ(P); κ(S)² is UKF-J's κ(P) to {mismatch:.0e} at worst"
         + (": the same information in half the digits" if same else "")
         + f". Median κ(P) of the UKF {np.nanmedian(full):.2g} (at most {np.nanmax(full):.2g}), "
-        f"UKF-J {np.nanmedian(joseph):.2g}; κ(S) of SRUKF {classical:.2g}",
+        f"UKF-J {np.nanmedian(joseph):.2g}; κ(S) of SRUKF {classical:.0f}",
         judge(ratio > 30.0, reason_holds=not same),
     )
 

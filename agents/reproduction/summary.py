@@ -67,13 +67,14 @@ def _verdicts(found: Sequence[Claim]) -> str:
 
 def _runs(claims: Sequence[Claim]) -> str:
     runs = {_experiment(claim): claim.runs for claim in claims}
+    short = [name for name, count in runs.items() if count < EXPERIMENTS[name].runs]
     counts = (
-        f"{name} {count}"
-        + (f" (default {EXPERIMENTS[name].runs})" if count < EXPERIMENTS[name].runs else "")
+        f"{name} {count}" + (f" of {EXPERIMENTS[name].runs}" if name in short else "")
         for name, count in runs.items()
     )
     seeds = sorted({claim.seed for claim in claims})
-    return f"Runs: {', '.join(counts)}; seed {', '.join(map(str, seeds))}."
+    told = f"Runs: {', '.join(counts)}; seed {', '.join(map(str, seeds))}."
+    return f"{told} **A short run: more may change verdicts.**" if short else told
 
 
 def write_summary(claims: Sequence[Claim], readme: Path) -> None:

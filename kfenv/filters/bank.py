@@ -164,9 +164,7 @@ class Bank:
         for h in range(size):
             work = np.where(np.isfinite(prediction.mean[:, 0]), 0, BAD_PREDICTION)
             rows = (noise * self._factors[h]).reshape(batch * count, -1)
-            told.append(
-                self.tier.update(prediction, knobs, Measurement(inputs, value, rows), work)
-            )
+            told.append(self.tier.update(prediction, knobs, Measurement(inputs, value, rows), work))
             likelihood = told[h].log_likelihood.reshape(batch, count)
             likelihood = likelihood if log_likelihood is None else log_likelihood
             with np.errstate(divide="ignore"):
@@ -176,8 +174,9 @@ class Bank:
             reason = np.where(failed.all(axis=1), work.reshape(batch, count)[:, 0], BAD_UPDATE)
         weight = _normalised(log_weight.reshape(batch, -1), status, reason)
         mean, factor, innovation, variance, nis = (
-            np.stack([getattr(one, name).reshape(batch, count, *shape) for one in told], axis=2)
-            .reshape(batch, count * size, *shape)
+            np.stack(
+                [getattr(one, name).reshape(batch, count, *shape) for one in told], axis=2
+            ).reshape(batch, count * size, *shape)
             for name in ("mean", "factor", "innovation", "variance", "nis")
             for shape in [getattr(told[0], name).shape[1:]]
         )
