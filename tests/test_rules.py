@@ -259,18 +259,20 @@ def test_correntropy_has_the_gain_of_the_papers_fixed_point():
 
 
 def test_nis_gate_rejects_by_chance_and_finds_a_jump_again():
-    agent = started("nis-gate", {"tail": 0.01, "noise": 2.0}, batch=2)
-    limit = np.sqrt(11.345 / 3.0 * 4.5)  # chi2_3(.99); S = 0.5 + 2^2
+    agent = started("nis-gate", {"gate": 4.0, "noise": 2.0}, batch=2)
+    limit = np.sqrt(4.0 * 11.345 / 3.0 * 4.5)  # chi2_3(.99); S = 0.5 + 2^2
     near = np.array([[0.999 * limit] * 3, [1.001 * limit] * 3])
     found = noise_factors(agent, near, 0.5)
     np.testing.assert_allclose(found[0], 2.0)
     np.testing.assert_allclose(found[1], KNOBS[2].high)
     jumped = [noise_factors(agent, np.full((2, 3), 1e3), 0.5)[0, 0] for _ in range(7)]
-    np.testing.assert_allclose(jumped, [KNOBS[2].high] * 5 + [2.0, KNOBS[2].high])
+    np.testing.assert_allclose(jumped, [KNOBS[2].high] * 5 + [2.0, 2.0])
+    noise_factors(agent, np.zeros((2, 3)), 0.5)  # found again: the gate is shut as before
+    assert noise_factors(agent, np.full((2, 3), 1e3), 0.5)[0, 0] == pytest.approx(KNOBS[2].high)
 
 
 def test_nis_gate_counts_the_channels_that_arrived():
-    agent = started("nis-gate", {"tail": 0.01, "noise": 1.0})
+    agent = started("nis-gate", {"gate": 1.0, "noise": 1.0})
     limit = np.sqrt(6.635 * 1.5)  # chi2_1(.99)
     assert noise_factors(agent, [0.999 * limit, np.nan, np.nan], 0.5)[0, 0] == 1.0
     assert noise_factors(agent, [1.001 * limit, np.nan, np.nan], 0.5)[0, 0] > 100.0

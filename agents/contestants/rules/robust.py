@@ -18,7 +18,7 @@ from scipy.stats import chi2
 from ..agent import Agent, Array, Briefing, Parameter, knob_actions
 from .innovation import NOISE, PROCESS_NOISE, share_of_noise, split
 
-REACQUIRE_AFTER = 5  # consecutive rejections, then the gate opens once
+REACQUIRE_AFTER = 5  # consecutive rejections, then the gate opens
 REJECTED = 1e3  # noise factor of a rejected channel: beyond any knob's range
 ITERATIONS = 5
 
@@ -47,28 +47,33 @@ class HuberGate(Agent):
         innovation, explained, noise = split(info, scale)
         size = np.nan_to_num(np.abs(innovation) / np.sqrt(explained + noise))
         factor = scale * np.sqrt(np.maximum(1.0, size / self.values["threshold"]))
-        arrived = ~np.isnan(innovation)
-        rejected, self._rejections = _reject(size > self.values["gate"], arrived, self._rejections)
+        rejected = (size > self.values["gate"]) & (self._rejections < REACQUIRE_AFTER)
+        arrived, counted = ~np.isnan(innovation), np.where(rejected, self._rejections + 1, 0)
+        self._rejections = np.where(arrived, counted, self._rejections)
         factor = np.where(rejected, REJECTED, np.where(arrived, factor, np.nan))
         return knob_actions(self.briefing, 1.0, self.values["process_noise"], factor)
 
 
 class NisGate(Agent):
-    """A measurement rejected as a whole where its NIS is beyond chance, until five times running.
+    """A measurement rejected as a whole where its NIS is beyond chance, at most five times running.
 
-    NIS = sum nu^2 / S over the channels that arrived, against the chi-square quantile that
-    only a share `tail` exceeds (Bar-Shalom, Li and Kirubarajan 2001, sec 5.4). After five
-    rejections the gate opens once, so that a track that strayed is found again. Correlations
-    between the channels' innovations are not seen.
+    NIS = sum nu^2 / S over the channels that arrived, against `gate` times the chi-square
+    quantile that one in a hundred exceeds (Bar-Shalom, Li and Kirubarajan 2001, sec 5.4). After
+    five rejections running the gate stays open until a measurement lies in it again, so that a
+    track that strayed is found. Correlations between the channels' innovations are not seen.
     """
 
-    parameters = (Parameter("tail", 1e-100, 0.5, 0.01), NOISE, PROCESS_NOISE)
+    parameters = (
+        Parameter("gate", 0.5, 200.0, 10.0),
+        Parameter("noise", 0.05, 50.0, 4.5),
+        Parameter("process_noise", 0.05, 200.0, 3.5),
+    )
 
     def reset(self, briefing: Briefing) -> None:
         super().reset(briefing)
         self._rejections = np.zeros(briefing.batch, np.int64)
-        channels = np.arange(len(briefing.sensor.channels) + 1)
-        self._gate = np.append(0.0, chi2.isf(self.values["tail"], channels[1:]))
+        channels = np.arange(1, len(briefing.sensor.channels) + 1)
+        self._gate = self.values["gate"] * np.append(0.0, chi2.isf(0.01, channels))
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
         scale = self.values["noise"]
@@ -76,7 +81,9 @@ class NisGate(Agent):
         arrived = ~np.isnan(innovation)
         nis = np.nansum(innovation**2 / (explained + noise), axis=1)
         beyond = nis > self._gate[arrived.sum(axis=1)]
-        rejected, self._rejections = _reject(beyond, arrived.any(axis=1), self._rejections)
+        rejected = beyond & (self._rejections < REACQUIRE_AFTER)
+        counted = np.where(beyond, self._rejections + 1, 0)
+        self._rejections = np.where(arrived.any(axis=1), counted, self._rejections)
         factor = np.where(rejected, REJECTED, scale)[:, None]
         factor = np.where(arrived, factor, np.nan)
         return knob_actions(self.briefing, 1.0, self.values["process_noise"], factor)
@@ -90,7 +97,11 @@ class StudentT(Agent):
     SPEC 10). Joint: one w for the m channels that arrived.
     """
 
-    parameters = (Parameter("freedom", 1.0, 1000.0, 7.96), NOISE, PROCESS_NOISE)
+    parameters = (
+        Parameter("freedom", 1.0, 1000.0, 7.96),
+        Parameter("noise", 0.05, 50.0, 3.63),
+        Parameter("process_noise", 0.05, 200.0, 8.4),
+    )
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
         innovation, explained, noise = split(info, self.values["noise"])
@@ -126,12 +137,3 @@ class Correntropy(Agent):
             ratio = np.exp(np.clip(steepness * (measured - predicted), -20.0, 20.0))
         factor = np.sqrt(noise * ratio) / info["noise"]
         return knob_actions(self.briefing, 1.0, self.values["process_noise"], factor)
-
-
-def _reject(
-    beyond: NDArray[np.bool_], arrived: NDArray[np.bool_], rejections: NDArray[np.int64]
-) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """What is rejected, unless it has been too often running, and the counts of that."""
-    rejected = beyond & (rejections < REACQUIRE_AFTER)
-    counted = np.where(rejected, rejections + 1, 0)
-    return rejected, np.where(arrived, counted, rejections)
