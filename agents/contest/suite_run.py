@@ -21,6 +21,7 @@ from .recording_hash import recording_hash
 from .rollout import draw_episodes, scenario_and_options
 from .suites import IN_DISTRIBUTION, Case, Suite, find_suite
 
+FLIGHT = "a real flight"
 HASHED = 2  # episodes of each case, and of those that agents are tuned on
 
 
@@ -108,7 +109,7 @@ def run_suite(
             advance=lambda agent, name=name: advance(f"{name}: {agent}"),
             tuned=None if name == IN_DISTRIBUTION else first,
         )  # fmt: skip
-    results = _gather(run, output, told)
+    results = _gather(run.suite, output, told)
     write_json(output / "results.json", results)
     return results
 
@@ -138,8 +139,7 @@ def track_cases(suite: Suite, tracks: Sequence[Path]) -> dict[str, Case]:
     if files and "track" not in [item.name for item in fields(scenario)]:
         raise ValueError(f"{suite.env_id} flies no tracks: leave them out.")
     return {
-        f"flight-{file.stem}": Case("a real flight", {"track": str(file.resolve())}, 100)
-        for file in files
+        f"flight-{file.stem}": Case(FLIGHT, {"track": str(file.resolve())}, 100) for file in files
     }
 
 
@@ -184,15 +184,17 @@ def _admit(output: Path, told: dict[str, Any], agents: tuple[str, ...], resume: 
     return tuple(dict.fromkeys((*held["agents"], *agents)))
 
 
-def _gather(run: SuiteRun, output: Path, told: dict[str, Any]) -> list[dict[str, Any]]:
-    """The results of every case that the folder holds."""
-    known = run.suite.cases | track_cases(run.suite, run.tracks)
+def _gather(suite: Suite, output: Path, told: dict[str, Any]) -> list[dict[str, Any]]:
+    """The results of every case that the folder holds, real flights last."""
+    found = {path.parent.name: path for path in sorted(output.glob("*/results.json"))}
+    order = [name for name in suite.cases if name in found]
+    order += [name for name in found if name not in order]
     about = told | {"machine": machine()}
+    what = {name: case.what for name, case in suite.cases.items()}
     return [
-        {"case": name, "what": case.what} | result | about
-        for name, case in known.items()
-        if (output / name / "results.json").exists()
-        for result in json.loads((output / name / "results.json").read_text())
+        {"case": name, "what": what.get(name, FLIGHT)} | result | about
+        for name in order
+        for result in json.loads(found[name].read_text())
     ]
 
 
