@@ -23,11 +23,11 @@ from rollouts import (
 )
 from test_zero_action_is_nominal import nominal_run
 
-from kfenv.envs.rewards import FLOOR, worst
+from kfenv.envs.rewards import worst
 
 RETURNS = {
     "rmse": lambda error: -error,
-    "log-rmse": lambda error: -0.5 * np.log1p((error / FLOOR) ** 2),
+    "log-rmse": lambda error: -np.log(error),
 }
 REWARDS = (*RETURNS, "improvement")
 intervals = pytest.mark.parametrize("interval", [1, 4])
@@ -146,11 +146,29 @@ def test_a_decision_earns_what_it_adds(env_id, reward, interval):
     heard = play(env, actions)
     errors = errors_of(env_id, recording, actions, interval)
     assert len(errors) == 41
-    squares = np.cumsum([np.sum(e**2) for e in grouped(errors, interval)])
-    costs = RETURNS[reward](np.sqrt(squares / 41.0) / env.scenario.error_scale)
+    errors = errors / env.scenario.error_scale
+    known = np.minimum(np.arange(interval, 41 + interval, interval), 41)
+    roots = np.array([np.sqrt((np.sum(errors[:k] ** 2) + 41.0 - k) / 41.0) for k in known])
+    before = RETURNS[reward](roots) + (41.0 - known) / 41.0 * (reward == "rmse")
     np.testing.assert_allclose(
-        [step[1] for step in heard[1:]], np.diff(costs, prepend=0.0), rtol=1e-9, atol=1e-12
+        [step[1] for step in heard[1:]], np.diff(before, prepend=0.0), rtol=1e-9, atol=1e-12
     )
+
+
+@every_environment
+@every_return
+def test_an_error_of_one_scale_counts_alike_early_and_late(env_id, reward):
+    """So it costs nothing in the log, and its share of one in the RMSE."""
+    recording = draw(env_id, [0], faults="none")
+    env = make(env_id)
+    deaf = change(recording, measurement=np.full_like(recording.measurement, np.nan))
+    own = np.stack(
+        [step[4]["estimate"] for step in play(make(env_id, recording=deaf), zeros(env, 41))[1:]]
+    )
+    own[:, env.scenario.motion.position[1]] += env.scenario.error_scale
+    env = make(env_id, recording=change(deaf, truth=own[None]), reward=reward)
+    earned = [step[1] for step in play(env, zeros(env, 41))[1:]]
+    np.testing.assert_allclose(earned, -1.0 / 41.0 if reward == "rmse" else 0.0, atol=1e-9)
 
 
 # ----- improvement ----------------------------------------------------------------------
@@ -283,10 +301,16 @@ def test_without_truth_a_failed_filter_pays_for_all_that_remained(env_id, reward
     env = make(env_id, recording=blind, reward=reward)
     heard = play(env, zeros(env, 41))
     assert heard[-1][2] and all(step[1] == 0.0 for step in heard[1:-1])
-    missed = 41 - (len(heard) - 2)
-    scenario = env.scenario
-    error = scenario.lost_distance * np.sqrt(missed / 41.0) / scenario.error_scale
-    assert heard[-1][1] == pytest.approx(RETURNS[reward](error), rel=1e-12)
+    price = worst(reward, env.scenario.error_scale, env.scenario.lost_distance)
+    assert heard[-1][1] == pytest.approx(-price * (1.0 - (len(heard) - 2) / 41.0), rel=1e-12)
+
+
+@every_environment
+@every_return
+def test_an_episode_without_scored_instants_earns_nothing(env_id, reward):
+    recording = draw(env_id, [0], faults="none")
+    env = make(env_id, recording=change(recording, scored=np.zeros((1, 41))), reward=reward)
+    assert all(step[1] == 0.0 for step in play(env, zeros(env, 41))[1:])
 
 
 @every_environment

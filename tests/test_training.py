@@ -360,11 +360,14 @@ def test_no_play_costs_more_than_the_loss_under_improvement(n, gamma):
     assert ends and worst_play <= min(scale * 3.0 * n, limit) + 1e-9
 
 
+@pytest.mark.parametrize("gamma", [0.9, 1.0])
 @pytest.mark.parametrize("reward", ["rmse", "log-rmse"])
-def test_under_the_returns_nothing_is_cut_and_the_worst_is_one(reward):
-    scale, limit, ends = scaling_for(BISTATIC, {"reward": reward}, 1.0)
-    worst = {"rmse": 100.0, "log-rmse": 0.5 * np.log1p(1000.0**2)}[reward]
-    assert scale == pytest.approx(1.0 / worst) and limit == np.inf and ends
+def test_a_return_is_learnt_whole(reward, gamma):
+    """Nothing is cut, and an episode that earns the same in every decision has its return."""
+    keywords = {"reward": reward, "duration": 4.0, "rate": 10.0, "decision_interval": 2}
+    scale, limit, ends = scaling_for(BISTATIC, keywords, gamma)
+    assert scale * np.sum(gamma ** np.arange(21)) == pytest.approx(21.0)
+    assert limit == np.inf and ends
 
 
 def test_a_discount_under_which_losing_is_free_is_refused(tiny, tmp_path):

@@ -1,13 +1,14 @@
-"""What learning sees of rewards: scaled by their own range, so that no lost track pays.
+"""What learning sees of rewards: scaled so that values are about one, and no lost track pays.
 
-Let w be the worst reward, or of "rmse" and "log-rmse" the worst return.
+Let w be the worst reward, n the decisions of an episode.
 
 * Of "improvement" (and of rewards whose range nobody knows) learning sees 1 - gamma times the
-  reward, so that values are mean rewards. With n decisions to go a loss costs the lesser of
-  n (1 - gamma) w and w, where it is cut; to keep the track costs w (1 - gamma^n) at most,
+  reward, so that values are mean rewards. With m decisions to go a loss costs the lesser of
+  m (1 - gamma) w and w, where it is cut; to keep the track costs w (1 - gamma^m) at most,
   which is less than either.
-* Of the others it sees the reward over w. A loss costs at once what the episode can still
-  cost, and discounting only makes that cheaper to keep; so nothing may be cut.
+* Of the others it sees n / (1 + gamma + ... + gamma^(n - 1)) times the reward, so that values
+  are returns. A loss costs at once all that an episode can still cost, which discounting only
+  makes cheaper to keep; so nothing may be cut.
 * A time limit is the end: beyond it learning would foresee costs that a loss escapes.
 """
 
@@ -17,8 +18,10 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import numpy as np
 from gymnasium.envs.registration import load_env_creator
 
+from kfenv.envs.options import Options
 from kfenv.envs.rewards import IMPROVEMENT, worst
 
 from ..contest.rollout import find_spec, scenario_and_options
@@ -66,6 +69,11 @@ def scaling_for(env_id: str, env_kwargs: Mapping[str, Any], gamma: float) -> Sca
             )
         limit = math.inf if reward is None else worst(reward, 1.0, 1.0)
         return Scaling(1.0 - gamma, limit, reward is not None)
-    scenario, _ = scenario_and_options(env_id, dict(env_kwargs))
-    most = worst(reward, scenario.error_scale, scenario.lost_distance)
-    return Scaling(1.0 / most, math.inf, True)
+    decisions = _decisions(*scenario_and_options(env_id, dict(env_kwargs)))
+    return Scaling(decisions / float(np.sum(gamma ** np.arange(decisions))), math.inf, True)
+
+
+def _decisions(scenario: Any, options: Options) -> int:
+    """Of an episode."""
+    time = scenario.time if options.recording is None else options.recording.time
+    return -(-len(time) // (options.decision_interval or scenario.steps_per_measurement))

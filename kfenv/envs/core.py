@@ -116,7 +116,7 @@ class Core:
         self.total_squared_error[chosen] = 0.0
         self.total_nees[chosen] = 0.0
         self.total_scored[chosen] = 0.0
-        self._to_score[chosen] = recording.scored_instants if self.has_truth else len(self.time)
+        self._to_score[chosen] = np.maximum(recording.scored_instants, 1.0)
         self._cost[chosen] = 0.0
         mask = np.zeros(self.batch, bool)
         mask[chosen] = True
@@ -166,10 +166,10 @@ class Core:
         if self.options.reward == rewards.IMPROVEMENT:
             count = np.maximum(count, 1.0)
             reward = self._improvement(squared / count, nominal / count, begin)
+        elif self.has_truth:
+            reward = self._added_cost()
         else:
-            reward = rewards.book(
-                self.options.reward, self.mean_square, self.scenario.error_scale, self._cost
-            )
+            reward = self._price_of_failure()
         return np.where(running, reward, 0.0), lost, ended
 
     def _improvement(self, squared: Array, nominal: Array, begin: NDArray[np.int64]) -> Array:
@@ -180,17 +180,22 @@ class Core:
         remaining = -(-(len(self.time) - begin) // self.interval)
         return np.where(self.lost, -rewards.IMPROVEMENT_CAP * remaining, reward)
 
-    @property
-    def mean_square(self) -> Array:
-        """Squared errors so far over all scored instants of the episode, (B,), m^2.
-
-        Without truth every instant counts, as no error until the track is lost.
-        """
-        scored = self.total_scored if self.has_truth else self.index + self.lost
-        return rewards.mean_square(
-            self.total_squared_error, scored, self._to_score, self.lost,
-            self.scenario.lost_distance,
+    def _added_cost(self) -> Array:
+        """Of an episode whose return is its score."""
+        scale = self.scenario.error_scale
+        mean_square = rewards.mean_square(
+            self.total_squared_error, self.total_scored, self._to_score, self.lost,
+            self.scenario.lost_distance, supposed=scale,
         )  # fmt: skip
+        to_come = np.where(self.lost, 0.0, 1.0 - self.total_scored / self._to_score)
+        return rewards.book(self.options.reward, mean_square, to_come, scale, self._cost)
+
+    def _price_of_failure(self) -> Array:
+        """Where no truth tells of errors: the worst return's share of what remained."""
+        worst = rewards.worst(
+            self.options.reward, self.scenario.error_scale, self.scenario.lost_distance
+        )
+        return np.where(self.lost, -worst * (1.0 - self.index / len(self.time)), 0.0)
 
     def _gather(self, name: str) -> Array:
         """What an episode holds at each filter's instant, or at the last one beyond it."""

@@ -28,7 +28,7 @@ from kfenv.envs.knobs import (
     knobs_of,
 )
 from kfenv.envs.options import ENGINE, GAUSSIAN_SUMS, REWARDS, Options
-from kfenv.envs.rewards import FLOOR, IMPROVEMENT_CAP, worst
+from kfenv.envs.rewards import IMPROVEMENT_CAP, worst
 from kfenv.envs.wording import factor, listed, table, wrap
 from kfenv.filters.adaptive import told_design
 from kfenv.models.model import Component
@@ -226,12 +226,12 @@ def rewards(scenario: Any) -> str:
         The error scale is {scale:g} m. Errors are those of the position, m.""",
         f"""
         - ``"rmse"`` (default): the undiscounted return of an episode is minus its RMSE over the
-          error scale, as contests count it. With M the sum of squared errors so far and N the
-          number of all instants of the episode that are scored, a decision earns minus what it
-          adds to sqrt(M / N) / scale.
-        - ``"log-rmse"``: the same with log sqrt(1 + M / N / floor^2), where the floor is
-          {FLOOR * scale:g} m. The return is minus the log of the RMSE over the floor as far as
-          the RMSE is above it; without the floor the first errors of an episode would be all.
+          error scale, exactly as contests count it. A decision earns minus what it adds to
+          sqrt(M / N) / scale - K / N: N is the number of instants in the episode that are
+          scored, K that of those still to come, and M the sum of squared errors, one scale
+          supposed where there is none yet.
+        - ``"log-rmse"``: the same with log(sqrt(M / N) / scale). The return is exactly minus the
+          log of the RMSE over the scale.
         - ``"improvement"``: log of the RMS error of a nominal filter on the same measurements
           over this filter's, within a decision, between {-IMPROVEMENT_CAP:g} and
           {IMPROVEMENT_CAP:g}; of less variance, for training. Its sum weighs all decisions alike,

@@ -1,13 +1,14 @@
 """Rewards: two whose return is an episode's score, and a dense surrogate for training.
 
-With ``"rmse"`` and ``"log-rmse"`` an episode has a cost, which grows with the squared errors
-so far over all its scored instants, and a decision earns minus what it adds. The cost begins
-at zero, so that the undiscounted return is minus the cost at the end, whatever lies between.
+With ``"rmse"`` and ``"log-rmse"`` an episode has a cost, and a decision earns minus what it adds.
+The cost supposes an error of one scale wherever there is none yet, so that at first it is zero
+and a step counts about alike early and late; at the end it is a function of the RMSE alone. The
+undiscounted return is therefore minus that, whatever lay between.
 """
 
 from __future__ import annotations
 
-from math import log, log1p, sqrt
+from math import log, sqrt
 
 import numpy as np
 from numba import njit
@@ -18,59 +19,59 @@ Array = NDArray[np.float64]
 LOG_RMSE = "log-rmse"
 IMPROVEMENT = "improvement"
 IMPROVEMENT_CAP = 3.0  # of a decision's reward either way, and the price of each after a loss
-# Of "log-rmse", in error scales: small beside the error of a good filter, and large enough
-# that a first error of a scale, one of hundreds in the mean, costs little.
-FLOOR = 0.1
 
 
 def mean_square(
-    squared: Array, scored: Array, to_score: Array, lost: NDArray[np.bool_], lost_distance: float
-) -> Array:
-    """Squared errors so far over all scored instants of an episode, (B,), m^2.
+    squared: Array, scored: Array, to_score: Array, lost: NDArray[np.bool_], lost_distance: float,
+    supposed: float = 0.0,
+) -> Array:  # fmt: skip
+    """Mean of squared errors over all scored instants of an episode, (B,), m^2.
 
     A lost track has the loss distance at every scored instant that it missed.
 
     Args:
-        squared: sums (B,) of squared errors, m^2.
+        squared: sums (B,) of squared errors so far, m^2.
         scored: number of instants in these.
         to_score: number of scored instants in the whole episode.
         lost: whether the track is lost.
         lost_distance: m.
+        supposed: error at those that are still to come, m.
     """
-    missed = np.where(lost, to_score - scored, 0.0)
-    return (squared + missed * lost_distance**2) / np.maximum(to_score, 1.0)
+    missing = np.where(lost, lost_distance, supposed)
+    return (squared + (to_score - scored) * missing**2) / np.maximum(to_score, 1.0)
 
 
-def book(reward: str, mean_square: Array, error_scale: float, cost: Array) -> Array:
+def book(reward: str, mean_square: Array, to_come: Array, error_scale: float, cost: Array) -> Array:
     """Minus what is added to each episode's cost (B,), which is brought up to date.
 
-    The cost is RMSE / error_scale, or with ``"log-rmse"`` log sqrt(1 + (RMSE / floor)^2),
-    the floor being `FLOOR` error scales.
+    The cost is the root of the mean square over the scale, less the share still to come, or
+    with ``"log-rmse"`` the log of that root.
+
+    Args:
+        mean_square: (B,), m^2, one scale supposed where there is no error yet.
+        to_come: share (B,) of the scored instants that are to come.
+        error_scale: m.
+        cost: (B,) so far.
     """
     added = np.empty_like(cost)
-    _book(mean_square, error_scale, reward == LOG_RMSE, cost, added)
+    _book(mean_square, to_come, error_scale, reward == LOG_RMSE, cost, added)
     return -added
 
 
 @njit(cache=True)
-def _book(mean_square, error_scale, logarithmic, cost, added):
+def _book(mean_square, to_come, error_scale, logarithmic, cost, added):
     for b in range(cost.shape[0]):
-        new = _cost(mean_square[b], error_scale, logarithmic)
+        root = sqrt(mean_square[b]) / error_scale
+        new = log(root) if logarithmic else root - to_come[b]
         added[b], cost[b] = new - cost[b], new
-
-
-@njit(cache=True)
-def _cost(mean_square, error_scale, logarithmic):
-    if logarithmic:
-        return 0.5 * log1p(mean_square / (FLOOR * error_scale) ** 2)
-    return sqrt(mean_square) / error_scale
 
 
 def worst(reward: str, error_scale: float, lost_distance: float) -> float:
     """What a track lost at once costs; of ``"improvement"`` the same for each decision."""
     if reward == IMPROVEMENT:
         return IMPROVEMENT_CAP
-    return _cost(lost_distance**2, error_scale, reward == LOG_RMSE)
+    ratio = lost_distance / error_scale
+    return log(ratio) if reward == LOG_RMSE else ratio
 
 
 @njit(cache=True)
