@@ -210,6 +210,7 @@ SPOILT = [
     ("truth", nan_in, "NaN"),
     ("noise", nan_in, "NaN"),
     ("true_noise", nan_in, "NaN"),
+    ("true_bias", nan_in, "NaN"),
     ("mean", nan_in, "NaN"),
     ("time", nan_in, "time"),
     ("time", repeat, "duplicate"),
@@ -222,6 +223,7 @@ SPOILT = [
 MISSHAPEN = [
     ("truth", (2, 40, 9)), ("noise", (2, 41, 2)), ("mean", (1, 9)), ("factor", (2, 9)),
     ("time", (40,)), ("motion_inputs", (2, 41)), ("measurement", (41, 3)), ("true_noise", (1,)),
+    ("true_bias", (2, 41, 2)),
 ]  # fmt: skip
 
 
@@ -241,7 +243,8 @@ def test_shapes_of_a_recording(name, shape):
 def test_a_recording_of_another_scenario(env_id):
     recording = draw(env_id, [0])
     fewer = dataclasses.replace(recording, measurement=recording.measurement[..., :-1],
-                                noise=recording.noise[..., :-1], true_noise=None)  # fmt: skip
+                                noise=recording.noise[..., :-1], true_noise=None,
+                                true_bias=None)  # fmt: skip
     channels = recording.measurement.shape[2] - 1
     assert f"{channels} channels" in complaint(ValueError, gym.make, env_id, recording=fewer)
     inputs = recording.motion_inputs.shape[2] + 2

@@ -70,8 +70,11 @@ def test_bounded_and_finite_where_the_world_goes_mad(env_id):
 def test_the_truth_is_not_in_it(env_id):
     recording = draw(env_id, range(2))
     actions = random_actions(make_vec(env_id, 2).action_space.shape, 12)
-    untrue = change(recording, truth=recording.truth + 123.0, true_noise=recording.true_noise * 3)
-    unknown = change(recording, truth=None, true_noise=None, faults=())
+    untrue = change(
+        recording, truth=recording.truth + 123.0, true_noise=recording.true_noise * 3,
+        true_bias=recording.true_bias + 1.0,
+    )  # fmt: skip
+    unknown = change(recording, truth=None, true_noise=None, true_bias=None, faults=())
     heard = []
     for told in (recording, untrue, unknown):
         env = make_vec(env_id, 2, recording=told)

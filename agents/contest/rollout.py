@@ -162,7 +162,8 @@ def _filter(
     parts = []
     for begin in range(0, len(recording), chunk):
         part = recording[begin : begin + chunk]
-        told, watch = replace(part, truth=None, true_noise=None, faults=()), Stopwatch()
+        told = replace(part, truth=None, true_noise=None, true_bias=None, faults=())
+        watch = Stopwatch()
         history = watch(contestant.filter, scenario, options, told)
         parts.append(_score(history, scenario, part, watch.seconds, trace))
     joined = [

@@ -11,7 +11,14 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from kfenv.envs.knobs import Knob, actions_for
+from kfenv.envs.knobs import (
+    CHANNEL_NOISE,
+    FADING,
+    MEASUREMENT_NOISE,
+    PROCESS_NOISE,
+    Knob,
+    actions_for,
+)
 from kfenv.envs.options import Options
 from kfenv.filters.results import History
 from kfenv.models.model import Sensor
@@ -105,12 +112,14 @@ class Agent(Contestant, ABC):
 
     Class attributes:
         all_knobs: whether the agent wants every knob, whatever the environment exposes.
+        single_channels: whether it wants a noise knob for each channel besides.
         clairvoyant: whether it may look into the recording.
         sees: what it decides by and so must pay for: "observation", the pending "innovation"
             and what else `act` finds in info, or "nothing" of both.
     """
 
     all_knobs: ClassVar[bool] = True
+    single_channels: ClassVar[bool] = False
     clairvoyant: ClassVar[bool] = False
     sees: ClassVar[str] = "innovation"
 
@@ -121,6 +130,8 @@ class Agent(Contestant, ABC):
     @property
     def own_options(self) -> dict[str, Any]:
         """Options of the environment that belong to the agent."""
+        if self.single_channels:
+            return {"actions": (FADING.name, PROCESS_NOISE.name, MEASUREMENT_NOISE, CHANNEL_NOISE)}
         return {"actions": None} if self.all_knobs else {}
 
     @abstractmethod
@@ -144,20 +155,32 @@ def knob_actions(
     Args:
         fading, process_noise: (B,) or one number.
         channel_noise: (B, m) factors of the channels' noise deviation, NaN for channels
-            that did not arrive; the others of a group share its knob, which takes their
-            root mean square.
+            that did not arrive. Where channels have knobs these take them; else the
+            others of a group share its knob, which takes their root mean square.
     """
     factors = {"fading": fading, "process_noise": process_noise}
     if channel_noise is not None:
-        for group, channels in channels_of(briefing.sensor).items():
-            square = channel_noise[:, channels] ** 2
-            count = np.sum(~np.isnan(square), axis=1)
-            mean = np.nansum(square, axis=1) / np.maximum(count, 1)
-            factors[f"{group}_noise"] = np.where(count > 0, np.sqrt(mean), 1.0)
+        names = [channel.name for channel in briefing.sensor.channels]
+        if any(knob.name in names for knob in briefing.knobs):
+            own = np.where(np.isnan(channel_noise), 1.0, channel_noise)
+            factors |= dict(zip(names, own.T, strict=True))
+        else:
+            factors |= _shared(briefing.sensor, channel_noise)
     columns = [
         np.broadcast_to(factors.get(knob.name, 1.0), briefing.batch) for knob in briefing.knobs
     ]
     return actions_for(np.stack(columns, axis=1), briefing.knobs)
+
+
+def _shared(sensor: Sensor, channel_noise: Array) -> dict[str, Array]:
+    """The groups' knobs: the root mean square of the channels that arrived."""
+    factors = {}
+    for group, channels in channels_of(sensor).items():
+        square = channel_noise[:, channels] ** 2
+        count = np.sum(~np.isnan(square), axis=1)
+        mean = np.nansum(square, axis=1) / np.maximum(count, 1)
+        factors[f"{group}_noise"] = np.where(count > 0, np.sqrt(mean), 1.0)
+    return factors
 
 
 def channels_of(sensor: Sensor) -> dict[str, Sequence[int]]:

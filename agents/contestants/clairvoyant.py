@@ -36,7 +36,7 @@ class Clairvoyant(Agent):
         if briefing.recording is None or briefing.recording.true_noise is None:
             raise ValueError("The clairvoyant needs a recording that knows its true noise.")
         recording = briefing.recording
-        ratio = recording.true_noise / recording.noise
+        ratio = self._level(recording) / recording.noise
         self._ratio = np.where(np.isnan(recording.measurement), np.nan, ratio)
         self._index = 0
 
@@ -45,8 +45,25 @@ class Clairvoyant(Agent):
         self._index += self.briefing.decision_interval
         return knob_actions(self.briefing, 1.0, self._process_noise(now), self._ratio[:, now])
 
+    def _level(self, recording: Recording) -> Array:
+        return recording.true_noise
+
     def _process_noise(self, now: int) -> Array | float:
         return self.values["process_noise"]
+
+
+class ClairvoyantChannels(Clairvoyant):
+    """Knows of each channel its error budget, and turns each one's own knob.
+
+    The budget's variance is that of the noise plus the square of the error that is no noise
+    (a stepped or ramped range). Still no bound, and one constant q.
+    """
+
+    single_channels = True
+
+    def _level(self, recording: Recording) -> Array:
+        bias = 0.0 if recording.true_bias is None else recording.true_bias
+        return np.hypot(recording.true_noise, bias)
 
 
 class ClairvoyantRq(Clairvoyant):

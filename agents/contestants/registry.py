@@ -13,7 +13,7 @@ from .banks.bank import BankContestant
 from .banks.noise_and_motion import ImmRq
 from .banks.noise_levels import Imm, Imm8, ImmGlint
 from .banks.two_filters import Hmm2q
-from .clairvoyant import Clairvoyant, ClairvoyantRq
+from .clairvoyant import Clairvoyant, ClairvoyantChannels, ClairvoyantRq
 from .family import AdaptiveFamilyFilter, FamilyFilter
 from .fixed import Fixed, FixedTuned, Random
 from .learned import Learned
@@ -41,6 +41,7 @@ AGENTS: dict[str, type[Agent]] = {
     "hmm-turn": HmmTurn,
     "clairvoyant": Clairvoyant,
     "clairvoyant-rq": ClairvoyantRq,
+    "clairvoyant-channels": ClairvoyantChannels,
     "random": Random,
 }
 BANKS: dict[str, type[BankContestant]] = {

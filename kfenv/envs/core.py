@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kfenv.envs import rewards, statistics
-from kfenv.envs.knobs import choose_knobs, knobs_of
+from kfenv.envs.channels import Channels
+from kfenv.envs.knobs import choose_knobs, knobs_of, knobs_of_channels
 from kfenv.envs.options import ENGINE, GAUSSIAN_SUMS, Options
 from kfenv.filters.engine import Engine
 from kfenv.filters.protocol import Filter, Knobs, Measurement
 from kfenv.filters.results import Prediction, Update
+from kfenv.models.model import Sensor
 from kfenv.scenarios.recording import Recording
 
 Array = NDArray[np.float64]
@@ -47,7 +49,7 @@ class Core:
         self._velocity = np.array(motion.velocity)
         self._group = np.array(sensor.group_of_channel)
         self.interval = options.decision_interval or scenario.steps_per_measurement
-        self._prepare_knobs(sensor.groups)
+        self._prepare_knobs(sensor)
         n, m, steps = len(motion.states), len(sensor.channels), len(times)
         inputs = scenario.dimensions
         self._episode = {
@@ -78,16 +80,19 @@ class Core:
         self._since = np.zeros(batch)
         self._action = np.zeros((batch, len(self.knobs)))
         self.factors = np.ones((batch, len(self._all_knobs)))
-        self.observation_size = (
-            len(sensor.groups) * statistics.PER_GROUP + statistics.COMMON + len(self.knobs)
-        )
+        self.observation_size = len(self.feature_names())
 
-    def _prepare_knobs(self, groups: tuple[str, ...]) -> None:
-        self._all_knobs = knobs_of(groups, self.options.mixture)
-        self.knobs = choose_knobs(self.options.actions, groups, self.options.mixture)
+    def _prepare_knobs(self, sensor: Sensor) -> None:
+        mixture, names = self.options.mixture, [channel.name for channel in sensor.channels]
+        shared = knobs_of(sensor.groups, mixture)
+        self._outlier_knob, self._channel_knobs = len(shared) - 1, slice(len(shared), None)
+        self._all_knobs = (*shared, *knobs_of_channels(names))
+        self.knobs = choose_knobs(self.options.actions, sensor.groups, mixture, names)
         self.knob_place = np.array([self._all_knobs.index(knob) for knob in self.knobs])
         self._log_low = np.log([knob.low for knob in self.knobs])
         self._log_high = np.log([knob.high for knob in self.knobs])
+        single = self.knob_place[self.knob_place >= len(shared)] - len(shared)
+        self._channels = Channels(self.scenario, single, self.batch) if len(single) else None
 
     # ----- episodes -----------------------------------------------------------------
 
@@ -111,6 +116,8 @@ class Core:
         self._statistics[chosen] = 0.0
         self._statistics[chosen, :, : len(statistics.WINDOWS)] = 1.0
         self._since[chosen] = 0.0
+        if self._channels is not None:
+            self._channels.restart(chosen)
         self._action[chosen] = 0.0
         self.factors[chosen] = 1.0
         self.total_squared_error[chosen] = 0.0
@@ -214,11 +221,12 @@ class Core:
 
     def _correct(self, active: Mask) -> None:
         arrived = self._measurement()
-        told = arrived._replace(noise=arrived.noise * self.factors[:, 2 + self._group])
+        noise = arrived.noise * self.factors[:, 2 + self._group]
+        told = arrived._replace(noise=noise * self.factors[:, self._channel_knobs])
         work = np.where(active, self.status, IDLE)
         due = self.index % self.scenario.steps_per_measurement == 0
         knobs = Knobs(np.where(due, self.factors[:, 0], 1.0), self.factors[:, 1].copy())
-        outlier_odds = (self.factors[:, -1].copy(),) if self.options.mixture else ()
+        outlier_odds = (self.factors[:, self._outlier_knob].copy(),) if self.options.mixture else ()
         result = self.filter.update(self._prediction, knobs, told, work, *outlier_odds)
         self._update = _merge(self._update, result, active)
         np.copyto(self._scored, self.index, where=active)
@@ -248,6 +256,8 @@ class Core:
         statistics.collect(
             self._pending.whitened, self._group, self._statistics, self._since, dt, work
         )
+        if self._channels is not None:
+            self._channels.collect(self._pending, self._gather("sensor_inputs"), work == 0)
 
     def _score(self, active: Mask) -> None:
         if self.has_truth:
@@ -273,6 +283,9 @@ class Core:
             self._pending.factor, self._position, self._velocity, self.scenario.error_scale,
             self._group, self._statistics, self._since, self._pends, out,
         )  # fmt: skip
+        if self._channels is not None:
+            begin = len(self.scenario.sensor.groups) * statistics.PER_GROUP + statistics.COMMON
+            out[:, begin : -len(self.knobs)] = self._channels.observe(self._pends)
         out[:, -len(self.knobs) :] = self._action
         out[self.status != 0] = 0.0
         return out.astype(np.float32)
@@ -289,6 +302,8 @@ class Core:
             "innovation_variance": np.where(pends, self._pending.variance, np.nan),
             "noise": self._gather("noise"),
         }
+        if self._channels is not None:
+            info["innovation_covariance"] = pends[..., None] * self._channels.covariance
         if self.has_truth:
             info["nees"] = self.nees.copy()
             info["truth"] = self._episode["truth"][self._rows, self._scored]
@@ -319,6 +334,7 @@ class Core:
         names.append("log(1 + seconds since the last measurement)")
         names.append("log position deviation over the error scale")
         names.append("log velocity deviation over a tenth of the error scale per second")
+        names.extend(self._channels.feature_names() if self._channels is not None else ())
         names.extend(f"previous action: {knob.name}" for knob in self.knobs)
         return tuple(names)
 

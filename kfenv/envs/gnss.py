@@ -34,7 +34,8 @@ class GnssTrackingEnv(TrackingEnv):
     ## Action Space
     {action_space}
 
-    A knob serves all satellites: a single one cannot be left out.
+    A knob of the table serves all satellites; to leave out a single one, one whose range is
+    stepped or drawn away, takes those of its channels.
 
     ## Observation Space
     {observation_space}
@@ -69,7 +70,8 @@ class GnssTrackingEnv(TrackingEnv):
       {other_faults}
 
       The true noise that the clairvoyant agent knows is each channel's own. It does not
-      know of a clock's jitter, which is common to all satellites, nor of steps and ramps.
+      know of a clock's jitter, which is common to all satellites; of steps and ramps knows
+      ``clairvoyant-channels``, which turns the channels' knobs.
     - ``place``: latitude and longitude (deg) and height (m) of the flights' origin
       (default {scenario.place}).
     - ``date``: a day such as ``"{scenario.date}"`` (default), at a random time of which each

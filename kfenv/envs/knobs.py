@@ -13,6 +13,7 @@ from kfenv.names import unknown
 Array = NDArray[np.float64]
 
 MEASUREMENT_NOISE = "measurement_noise"
+CHANNEL_NOISE = "channel_noise"
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,8 @@ class Knob:
     and exactly 1 at zero.
 
     Attributes:
-        name: ``"fading"``, ``"process_noise"``, ``"<group>_noise"`` or ``"outlier_weight"``.
+        name: ``"fading"``, ``"process_noise"``, ``"<group>_noise"``, ``"outlier_weight"`` or that
+            of a channel.
         low, high: the factors at -1 and 1, 0 < low < 1 < high.
     """
 
@@ -42,7 +44,7 @@ OUTLIER_WEIGHT = Knob("outlier_weight", 1e-3, 1e3)
 
 
 def knobs_of(groups: Sequence[str], mixture: bool = False) -> tuple[Knob, ...]:
-    """All knobs of a filter whose sensor has these channel groups.
+    """The knobs of a filter whose sensor has these channel groups, but for single channels'.
 
     Args:
         mixture: whether it is a Gaussian sum, whose outlier weight is the last knob.
@@ -51,14 +53,24 @@ def knobs_of(groups: Sequence[str], mixture: bool = False) -> tuple[Knob, ...]:
     return (FADING, PROCESS_NOISE, *noise, *((OUTLIER_WEIGHT,) if mixture else ()))
 
 
+def knobs_of_channels(channels: Sequence[str]) -> tuple[Knob, ...]:
+    """A knob for each channel, which multiplies what its group's knob makes of its noise."""
+    return tuple(Knob(channel, *NOISE_RANGE) for channel in channels)
+
+
 def choose_knobs(
-    names: Sequence[str] | None, groups: Sequence[str], mixture: bool = False
+    names: Sequence[str] | None,
+    groups: Sequence[str],
+    mixture: bool = False,
+    channels: Sequence[str] = (),
 ) -> tuple[Knob, ...]:
-    """The knobs that an environment exposes, in the order of `knobs_of`.
+    """The knobs that an environment exposes, in the order of `knobs_of`, then of the channels.
 
     Args:
-        names: knob names, ``"measurement_noise"`` standing for all groups; None for all.
+        names: knob names, ``"measurement_noise"`` standing for all groups and
+            ``"channel_noise"`` for all channels; None for all of `knobs_of`.
         groups, mixture: as in `knobs_of`.
+        channels: names of the channels.
 
     Raises:
         ValueError: for an unknown name, or if none is left.
@@ -68,15 +80,17 @@ def choose_knobs(
         return knobs
     if isinstance(names, str):
         names = (names,)
-    known = [knob.name for knob in knobs]
+    shared = [knob.name for knob in knobs]
+    knobs += knobs_of_channels(channels)
+    several = {
+        MEASUREMENT_NOISE: [f"{group}_noise" for group in groups],
+        CHANNEL_NOISE: list(channels),
+    }
     wanted: set[str] = set()
     for name in names:
-        if name == MEASUREMENT_NOISE:
-            wanted.update(f"{group}_noise" for group in groups)
-        elif name in known:
-            wanted.add(name)
-        else:
-            raise ValueError(unknown("action", name, [*known, MEASUREMENT_NOISE]))
+        if name not in (*shared, *channels, *several):
+            raise ValueError(unknown("action", name, [*shared, *several]))
+        wanted.update(several.get(name, [name]))
     if not wanted:
         raise ValueError("actions names no knob: give at least one, or leave it out for all.")
     return tuple(knob for knob in knobs if knob.name in wanted)

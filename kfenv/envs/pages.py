@@ -18,14 +18,17 @@ from typing import Any
 import numpy as np
 
 from kfenv.envs import statistics
+from kfenv.envs.channels import PER_CHANNEL, channel_features
 from kfenv.envs.fault_lists import known_faults, named_faults
 from kfenv.envs.knobs import (
+    CHANNEL_NOISE,
     FADING,
     MEASUREMENT_NOISE,
     OUTLIER_WEIGHT,
     PROCESS_NOISE,
     Knob,
     knobs_of,
+    knobs_of_channels,
 )
 from kfenv.envs.options import ENGINE, GAUSSIAN_SUMS, REWARDS, Options
 from kfenv.envs.rewards import IMPROVEMENT_CAP, worst
@@ -108,6 +111,8 @@ def info(scenario: Any) -> str:
           deviations that the filter is told; innovation and variance are zero and infinite in
           channels that are missing and at the episode's end;
         - where the truth is known ``truth`` and ``nees`` (of the position, 3 degrees of freedom);
+        - where channels have knobs of their own ``innovation_covariance``, whose rows and
+          columns are zero for channels that are missing;
         - after a step ``knobs``, the factors applied.""",
     )
 
@@ -131,6 +136,7 @@ def _channels(scenario: Any) -> str:
 def action_space(scenario: Any) -> str:
     """The knobs."""
     knobs = knobs_of(scenario.sensor.groups)
+    channel, *_ = knobs_of_channels([scenario.sensor.channels[0].name])
     return _paragraphs(
         f"""
         ``Box(-1, 1, ({len(knobs)},), float32)``, one component a per knob, less where ``actions``
@@ -141,7 +147,21 @@ def action_space(scenario: Any) -> str:
         f"""
         A Gaussian sum as ``filter`` has one knob more, ``{OUTLIER_WEIGHT.name}``
         ({_range(OUTLIER_WEIGHT)}), which multiplies the odds that it gives an outlier.""",
+        f"""
+        ``actions`` may name channels too: {_names(scenario)}, or ``"{CHANNEL_NOISE}"`` for all
+        {len(scenario.sensor.channels)}. Such a knob ({_range(channel)}) multiplies the channel's
+        standard deviation on top of what its group's knob does, and stands behind the others.""",
     )
+
+
+def _names(scenario: Any) -> str:
+    """The channels' names, group by group."""
+    told = []
+    for group in scenario.sensor.groups:
+        names = [c.name for c in scenario.sensor.channels if c.group == group]
+        few = len(names) <= AXES
+        told += names if few else [f"{names[0]}`` to ``{names[-1]}"]
+    return listed(f"``{name}``" for name in told)
 
 
 def _knob_row(knob: Knob) -> tuple[str, str, str]:
@@ -177,6 +197,12 @@ def observation_space(scenario: Any) -> str:
         """
         Deviations are roots of the trace of the covariance predicted with nominal knobs.
         ``env.unwrapped.core.feature_names()`` names every component.""",
+        f"""
+        For each channel that has a knob of its own {PER_CHANNEL} features follow the common ones.
+        They tell of v, the channel's innovation less what those of all other channels make one
+        expect, over the deviation that this leaves: {listed(channel_features())}; between
+        {-statistics.BOUND:g} and {statistics.BOUND:g}, and zero where the channel is missing
+        (the first and the last).""",
     )
 
 
@@ -339,8 +365,8 @@ def options(scenario: Any) -> str:
         f"""
         - ``reward``: {listed(f'``"{name}"``' for name in REWARDS)}, see Rewards.
         - ``actions``: names of the knobs to expose, from the table above;
-          ``"{MEASUREMENT_NOISE}"`` stands for the {len(scenario.sensor.groups)} noise knobs.
-          Default all.
+          ``"{MEASUREMENT_NOISE}"`` stands for the {len(scenario.sensor.groups)} noise knobs there,
+          ``"{CHANNEL_NOISE}"`` for one on each channel. Default all of the table.
         - ``recording``: {_recording(scenario)}
         - ``decision_interval``: filter steps for which an action holds, 1 or more (default
           {scenario.steps_per_measurement}{one}).

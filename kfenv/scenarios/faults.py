@@ -33,6 +33,8 @@ class Draft:
         told_factor: (T, m) multiplies the noise that the filter is told.
         available: (T, m) whether the channel arrives.
         exact: (T, m) the measurements without noise; a fault may add errors of its own.
+        bias: (T, m) those of these errors that are single channels' own: told to the
+            clairvoyant, and not added to anything.
         motion_inputs, sensor_inputs: (T, p), (T, k) the inputs as the filter is told them.
         intervals: what happened when.
     """
@@ -42,6 +44,7 @@ class Draft:
     told_factor: Array
     available: NDArray[np.bool_]
     exact: Array
+    bias: Array
     motion_inputs: Array
     sensor_inputs: Array
     intervals: list[FaultInterval] = field(default_factory=list)
@@ -50,8 +53,16 @@ class Draft:
     def clean(cls, time: Array, channels: int, **more: object) -> Draft:
         """An episode without faults; measurements of zero and no inputs unless given."""
         shape, none = (len(time), channels), np.empty((len(time), 0))
-        given = {"exact": np.zeros(shape), "motion_inputs": none, "sensor_inputs": none} | more
-        return cls(time, np.ones(shape), np.ones(shape), np.ones(shape, bool), **given)
+        given = {
+            "exact": np.zeros(shape), "bias": np.zeros(shape), "motion_inputs": none,
+            "sensor_inputs": none,
+        }  # fmt: skip
+        return cls(time, np.ones(shape), np.ones(shape), np.ones(shape, bool), **given | more)
+
+    def misplace(self, inside: slice, channels: slice, error: Array) -> None:
+        """Add errors (t, c) to channels' measurements of a time, and note them as a bias."""
+        self.exact[inside, channels] += error
+        self.bias[inside, channels] += error
 
     def window(self, label: str, start: float, duration: float) -> slice:
         """Label the interval, as far as it lies in the episode, and return its time indices."""

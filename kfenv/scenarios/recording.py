@@ -35,6 +35,7 @@ class Recording:
         motion_inputs, sensor_inputs: known inputs (B, T, p), (B, T, k).
         truth: (B, T, n), or None for a real log without one.
         true_noise: (B, T, m) standard deviations the noise was drawn with, or None.
+        true_bias: (B, T, m) errors of single channels that are no noise, or None.
         scored: (B, T) one where the truth counts in scores and zero where it is only a guess
             to be drawn; None if it counts everywhere.
         faults: for each episode its labelled intervals.
@@ -53,6 +54,7 @@ class Recording:
     sensor_inputs: Array
     truth: Array | None = None
     true_noise: Array | None = None
+    true_bias: Array | None = None
     scored: Array | None = None
     faults: tuple[tuple[FaultInterval, ...], ...] = ()
 
@@ -109,6 +111,7 @@ class Recording:
             "sensor_inputs": (batch, steps, None),
             "truth": (batch, steps, n),
             "true_noise": (batch, steps, m),
+            "true_bias": (batch, steps, m),
             "scored": (batch, steps),
         }
         for name, shape in expected.items():
@@ -134,7 +137,7 @@ class Recording:
         if not np.all(np.diff(self.time) > 0.0):
             raise ValueError("Recording.time must increase strictly: drop duplicate times.")
         finite = ("time", "noise", "mean", "factor", "motion_inputs", "truth", "true_noise")
-        for name in (*finite, "scored"):
+        for name in (*finite, "true_bias", "scored"):
             value = getattr(self, name)
             if value is not None and not np.all(np.isfinite(value)):
                 raise ValueError(

@@ -141,6 +141,7 @@ class TrackingScenario(ABC):
             sensor_inputs=draft.sensor_inputs[None],
             truth=truth[None],
             true_noise=true_noise[None],
+            true_bias=draft.bias[None],
             faults=(tuple(draft.intervals),),
         )
 

@@ -25,6 +25,7 @@ from kfenv.scenarios.faults import (
 
 Array = NDArray[np.float64]
 
+RANGES, RATES = slice(CHANNELS), slice(CHANNELS, None)
 RATE_SHARE = 5.0 / 150.0  # 1/s: rate error over range error of a degraded clock; ours
 
 
@@ -106,7 +107,7 @@ class RangeStep:
         size = log_uniform(rng, self.size) * rng.choice((-1.0, 1.0))
         inside = draft.window(self.label, draw_start(self.start, duration, draft, rng), duration)
         victim = _one_satellite(draft, inside, rng)
-        draft.exact[inside, :CHANNELS][victim] += size
+        draft.misplace(inside, RANGES, np.where(victim, size, 0.0))
 
 
 @dataclass(frozen=True)
@@ -137,9 +138,9 @@ class RangeRamp:
         start = draw_start(self.start, duration, draft, rng)
         inside = draft.window(self.label, start, duration)
         victim = _one_satellite(draft, inside, rng)
-        passed = np.broadcast_to((draft.time[inside] - start)[:, None], victim.shape)
-        draft.exact[inside, :CHANNELS][victim] += rate * passed[victim]
-        draft.exact[inside, CHANNELS:][victim] += rate
+        passed = (draft.time[inside] - start)[:, None]
+        draft.misplace(inside, RANGES, np.where(victim, rate * passed, 0.0))
+        draft.misplace(inside, RATES, np.where(victim, rate, 0.0))
 
 
 @dataclass(frozen=True)
