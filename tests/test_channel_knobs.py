@@ -122,7 +122,8 @@ def test_the_features_are_what_their_page_says(env_id):
         if len(here):
             part = S[np.ix_(here, here)]
             nis = env.core._pending.nis[0]
-            assert nu[here] @ np.linalg.solve(part, nu[here]) == pytest.approx(nis, rel=2e-3)  # curvature is shared
+            squared = nu[here] @ np.linalg.solve(part, nu[here])
+            assert squared == pytest.approx(nis, rel=2e-3)  # curvature is shared by the channels
         features = observation[-channels * (PER_CHANNEL + 1) : -channels].reshape(channels, -1)
         for c in range(channels):
             v = 0.0

@@ -22,6 +22,8 @@ from .rules.fading import InnovationFading, InnovationFadingPrinted, StrongTrack
 from .rules.hidden_markov import HmmNoise, HmmTurn
 from .rules.noise import InnovationNoise, PooledNoise, SageHusa, VbNoise
 from .rules.robust import Correntropy, HuberGate, NisGate, StudentT
+from .rules.satellite_exclusion import Raim, SatelliteGate
+from .rules.satellite_hidden_markov import SatelliteHmm
 
 AGENTS: dict[str, type[Agent]] = {
     "fixed": Fixed,
@@ -39,6 +41,9 @@ AGENTS: dict[str, type[Agent]] = {
     "pooled-noise": PooledNoise,
     "hmm-noise": HmmNoise,
     "hmm-turn": HmmTurn,
+    "satellite-gate": SatelliteGate,
+    "raim": Raim,
+    "satellite-hmm": SatelliteHmm,
     "clairvoyant": Clairvoyant,
     "clairvoyant-rq": ClairvoyantRq,
     "clairvoyant-channels": ClairvoyantChannels,

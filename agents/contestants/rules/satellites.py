@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 
 RANGES, RATES = slice(CHANNELS), slice(CHANNELS, None)
 CLOCK = (1e3, 30.0)  # m, m/s: deviation of an error common to all, wider than any clock's
+CAUTION = 30.0  # factor of the prediction's covariance, for tracks that have strayed
 
 
 def check_satellites(name: str, sensor: Sensor) -> None:
@@ -35,13 +36,14 @@ def check_satellites(name: str, sensor: Sensor) -> None:
 def unexplained(info: Mapping[str, Any], factor: Array) -> tuple[Array, Array]:
     """What of each innovation the other satellites do not explain, and its deviation, (B, 24).
 
-    With the told noise times `factor` (B, 24), and with any error that is common to all ranges
-    or all rates taken for the clock's: its jitter blames nobody. NaN in missing channels.
+    With the told noise times `factor` (B, 24), a prediction that may have strayed, and any error
+    that is common to all ranges or all rates taken for the clock's, whose jitter blames nobody.
+    NaN in missing channels.
     """
     arrived, told = ~np.isnan(info["innovation"]), info["noise"] ** 2
-    covariance = info["innovation_covariance"].copy()
+    covariance = CAUTION * info["innovation_covariance"]
     places = np.arange(covariance.shape[1])
-    covariance[:, places, places] += np.where(arrived, (factor**2 - 1.0) * told, 0.0)
+    covariance[:, places, places] += np.where(arrived, (factor**2 - CAUTION) * told, 0.0)
     for part, deviation in zip((RANGES, RATES), CLOCK, strict=True):
         here = arrived[:, part]
         covariance[:, part, part] += deviation**2 * (here[:, :, None] & here[:, None, :])
