@@ -257,7 +257,7 @@ class Core:
             self._pending.whitened, self._group, self._statistics, self._since, dt, work
         )
         if self._channels is not None:
-            self._channels.collect(self._pending, self._gather("sensor_inputs"), work == 0)
+            self._channels.collect(self._pending, arrived.inputs, work == 0)
 
     def _score(self, active: Mask) -> None:
         if self.has_truth:

@@ -28,7 +28,6 @@ from kfenv.envs.knobs import (
     PROCESS_NOISE,
     Knob,
     knobs_of,
-    knobs_of_channels,
 )
 from kfenv.envs.options import ENGINE, GAUSSIAN_SUMS, REWARDS, Options
 from kfenv.envs.rewards import IMPROVEMENT_CAP, worst
@@ -136,7 +135,6 @@ def _channels(scenario: Any) -> str:
 def action_space(scenario: Any) -> str:
     """The knobs."""
     knobs = knobs_of(scenario.sensor.groups)
-    channel, *_ = knobs_of_channels([scenario.sensor.channels[0].name])
     return _paragraphs(
         f"""
         ``Box(-1, 1, ({len(knobs)},), float32)``, one component a per knob, less where ``actions``
@@ -148,20 +146,10 @@ def action_space(scenario: Any) -> str:
         A Gaussian sum as ``filter`` has one knob more, ``{OUTLIER_WEIGHT.name}``
         ({_range(OUTLIER_WEIGHT)}), which multiplies the odds that it gives an outlier.""",
         f"""
-        ``actions`` may name channels too: {_names(scenario)}, or ``"{CHANNEL_NOISE}"`` for all
-        {len(scenario.sensor.channels)}. Such a knob ({_range(channel)}) multiplies the channel's
-        standard deviation on top of what its group's knob does, and stands behind the others.""",
+        ``actions`` may also name channels ({_channels(scenario)}), or ``"{CHANNEL_NOISE}"`` for
+        all {len(scenario.sensor.channels)}. Such a knob multiplies the channel's standard
+        deviation, as far as those above and on top of them, and stands behind them.""",
     )
-
-
-def _names(scenario: Any) -> str:
-    """The channels' names, group by group."""
-    told = []
-    for group in scenario.sensor.groups:
-        names = [c.name for c in scenario.sensor.channels if c.group == group]
-        few = len(names) <= AXES
-        told += names if few else [f"{names[0]}`` to ``{names[-1]}"]
-    return listed(f"``{name}``" for name in told)
 
 
 def _knob_row(knob: Knob) -> tuple[str, str, str]:

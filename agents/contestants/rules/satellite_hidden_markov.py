@@ -75,7 +75,7 @@ class SatelliteHmm(HmmNoise):
         suspect = np.tile(self._states[..., 0] < 1.0 - SUSPECT, 2)
         doubt = np.where(arrived, np.hypot(1.0, np.sqrt(self._square) / told), 1.0)
         residual, deviation = unexplained(info, doubt)
-        noise = hear(
+        noise, _ = hear(
             np.where(suspect, np.nan, residual), deviation**2, told, passed,
             self.values["up"], self.values["down"], self.values["leak"], self._grid,
             self._belief,
