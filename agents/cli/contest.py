@@ -63,7 +63,8 @@ def evaluate(
     innovation-noise, pooled-noise, hmm-noise, hmm-turn, clairvoyant, clairvoyant-rq, random.
     Without --agent all of them take part (but the clairvoyant ones in a real log, whose noise
     nobody knows). To name as well: nis-gate, student-t, correntropy, strong-tracking,
-    sage-husa, vb-noise.
+    sage-husa, vb-noise; and in GnssTracking, for single satellites, raim, satellite-gate,
+    satellite-hmm, clairvoyant-channels.
     """
     with complaints():
         kwargs = env_kwargs(rate, faults, track, rinex, option)

@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ..contestants.agent import RecordingFilter
 from ..contestants.learned import Learned
 from ..contestants.registry import NAMES, make_agent
 from ..files import write_json
@@ -159,8 +158,7 @@ def _complain_first(contest: Contest) -> None:
             check_scored(tuning)
     episode = draw_episodes(*place, contest.split, contest.seed, 1)
     for contestant in map(make_agent, contest.all_agents):
-        if isinstance(contestant, RecordingFilter):
-            contestant.check(*scenario_and_options(*contest.expected_place), episode)
+        contestant.check(*scenario_and_options(*contest.expected_place), episode)
 
 
 def check_log(

@@ -86,13 +86,8 @@ class Contestant:
         """The same contestant with other parameters."""
         return type(self)(self.name, values)
 
-
-class RecordingFilter(Contestant, ABC):
-    """Base of filters that turn a whole recording into a history, without knobs or decisions."""
-
-    @abstractmethod
     def check(self, scenario: Any, options: Options, recording: Recording) -> None:
-        """Complain, before a contest begins, if the filter does not suit it.
+        """Complain, before a contest begins, if the contestant does not suit it.
 
         Args:
             scenario, options: of the environment.
@@ -101,6 +96,10 @@ class RecordingFilter(Contestant, ABC):
         Raises:
             ValueError: in one sentence.
         """
+
+
+class RecordingFilter(Contestant, ABC):
+    """Base of filters that turn a whole recording into a history, without knobs or decisions."""
 
     @abstractmethod
     def filter(self, scenario: Any, options: Options, recording: Recording) -> History:

@@ -11,9 +11,9 @@ from scipy.stats import chi2
 
 from kfenv.models.gnss.pseudorange import CHANNELS
 
-from ..agent import Agent, Array, Briefing, Parameter, knob_actions
+from ..agent import Array, Briefing, Parameter, knob_actions
 from .innovation import NOISE, PROCESS_NOISE
-from .satellites import RANGES, RATES, check_satellites, unexplained
+from .satellites import RANGES, RATES, SatelliteRule, unexplained
 
 EXCLUDED = 500.0  # noise factor of a satellite that is left out
 MOST = 3  # satellites that one epoch may leave out
@@ -21,7 +21,7 @@ LEAST = 5  # satellites that must remain
 WILD = 3.0  # deviations that a mean takes of one innovation
 
 
-class Raim(Agent):
+class Raim(SatelliteRule):
     """Fault detection and exclusion at each epoch by itself (Parkinson and Axelrad 1988).
 
     The innovations of all satellites are tested together against the chi-square quantile that
@@ -31,15 +31,8 @@ class Raim(Agent):
     """
 
     parameters = (Parameter("tail", 1e-30, 0.5, 1e-3), NOISE, PROCESS_NOISE)
-    single_channels = True
 
     def reset(self, briefing: Briefing) -> None:
-        """See also `Agent.reset`.
-
-        Raises:
-            ValueError: if the sensor has no satellites.
-        """
-        check_satellites(self.name, briefing.sensor)
         super().reset(briefing)
         freedom = np.maximum(np.arange(2 * CHANNELS + 1) - 2, 1)  # two for the clock
         self._limit = chi2.isf(self.values["tail"], freedom) / freedom
@@ -73,7 +66,7 @@ class Raim(Agent):
         return mean / self._limit[count], np.where(used, np.abs(residual) / deviation, 0.0)
 
 
-class SatelliteGate(Agent):
+class SatelliteGate(SatelliteRule):
     """A satellite left out while the mean of its innovations is beyond a gate.
 
     w of each channel beside the others, over the median size of its group's where that is
@@ -88,15 +81,8 @@ class SatelliteGate(Agent):
         Parameter("noise_window", 1.0, 60.0, 3.0),
         PROCESS_NOISE,
     )
-    single_channels = True
 
     def reset(self, briefing: Briefing) -> None:
-        """See also `Agent.reset`.
-
-        Raises:
-            ValueError: if the sensor has no satellites.
-        """
-        check_satellites(self.name, briefing.sensor)
         super().reset(briefing)
         self._mean = np.zeros((briefing.batch, 2 * CHANNELS))
         self._scale = np.ones((briefing.batch, 2 * CHANNELS))

@@ -16,7 +16,7 @@ from kfenv.scenarios.gnss.faults import RangeRamp, RangeStep
 
 from ..agent import Array, Briefing, Parameter, knob_actions
 from .hidden_markov import HmmNoise, hear
-from .satellites import RANGES, RATES, check_satellites, unexplained
+from .satellites import RANGES, RATES, SatelliteRule, unexplained
 
 SIZES, SPEEDS, AGES = 6, 5, 12  # levels of steps and ramps of either sign, and of a ramp's age
 SUSPECT = 0.5  # probability from which a satellite is kept out of the noise's level
@@ -41,7 +41,7 @@ class RangeErrors(NamedTuple):
     ramps: int
 
 
-class SatelliteHmm(HmmNoise):
+class SatelliteHmm(SatelliteRule, HmmNoise):
     """`HmmNoise` beside a hidden Markov model of each satellite, forward as in Rabiner (1989).
 
     A satellite is sound, or its range is off by one of a few steps, or drawn away at one of a
@@ -54,15 +54,8 @@ class SatelliteHmm(HmmNoise):
         *HmmNoise.parameters,
         Parameter("fault_rate", 1e-6, 1e-1, 1e-3),  # of a satellite, 1/s
     )
-    single_channels = True
 
     def reset(self, briefing: Briefing) -> None:
-        """See also `Agent.reset`.
-
-        Raises:
-            ValueError: if the sensor has no satellites.
-        """
-        check_satellites(self.name, briefing.sensor)
         super().reset(briefing)
         self._errors = range_errors(briefing.scenario)
         self._states = np.zeros((briefing.batch, CHANNELS, len(self._errors.error)))
@@ -158,7 +151,11 @@ def _weigh(state, residual, variance, errors):
     """Multiply by the likelihood of a residual, nothing if that is missing."""
     if np.isnan(residual):
         return
-    nearest = np.min((residual - errors) ** 2)
+    nearest, total = np.inf, 0.0
+    for k in range(len(state)):
+        nearest = min(nearest, (residual - errors[k]) ** 2)
     for k in range(len(state)):
         state[k] *= exp(-0.5 * ((residual - errors[k]) ** 2 - nearest) / variance)
-    state /= np.sum(state)
+        total += state[k]
+    for k in range(len(state)):
+        state[k] /= total

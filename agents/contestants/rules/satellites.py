@@ -7,30 +7,35 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kfenv.envs.channels import beside_others
+from kfenv.envs.options import Options
 from kfenv.models.gnss.pseudorange import CHANNELS
-from kfenv.models.model import Sensor
+from kfenv.scenarios.recording import Recording
 
-Array = NDArray[np.float64]
+from ..agent import Agent, Array
 
 RANGES, RATES = slice(CHANNELS), slice(CHANNELS, None)
 CLOCK = (1e3, 30.0)  # m, m/s: deviation of an error common to all, wider than any clock's
 CAUTION = 30.0  # factor of the prediction's covariance, for tracks that have strayed
 
 
-def check_satellites(name: str, sensor: Sensor) -> None:
-    """Complain of a sensor whose channels are not satellites' ranges and rates.
+class SatelliteRule(Agent):
+    """Base of the agents that turn each satellite's own knobs."""
 
-    Raises:
-        ValueError: naming the agent.
-    """
-    if sensor.name != "pseudoranges":
-        raise ValueError(
-            f"The agent {name!r} excludes satellites, and the sensor {sensor.name!r} has none: "
-            "enter it where there are pseudoranges (kfenv/GnssTracking-v0)."
-        )
+    single_channels = True
+
+    def check(self, scenario: Any, options: Options, recording: Recording) -> None:
+        """See also `Contestant.check`.
+
+        Raises:
+            ValueError: if the sensor has no satellites.
+        """
+        if scenario.sensor.name != "pseudoranges":
+            raise ValueError(
+                f"The agent {self.name!r} leaves out satellites, and {scenario.name} has none: "
+                "enter it in kfenv/GnssTracking-v0."
+            )
 
 
 def unexplained(info: Mapping[str, Any], factor: Array) -> tuple[Array, Array]:
