@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from kfenv.envs.statistics import BOUND
 from kfenv.filters.matrices import cholesky
 from kfenv.filters.results import Update
+from kfenv.models.model import Sensor
 from kfenv.models.namespaces import batch as numpy_batch
 
 Array = NDArray[np.float64]
 
 WINDOWS = (10.0, 30.0)  # of the means, in arrivals; the first one also serves the RMS
 PER_CHANNEL = len(WINDOWS) + 3
+AXES = 3  # as many channels of a group are told one by one
 
 
 class Channels:
@@ -87,6 +89,19 @@ def channel_features() -> tuple[str, ...]:
         f"log of its RMS over {WINDOWS[0]:g}",
         "whether the channel arrived",
     )
+
+
+def told_channels(sensor: Sensor) -> str:
+    """The channels in words, group by group, with their units."""
+    told = []
+    for group in sensor.groups:
+        channels = [channel for channel in sensor.channels if channel.group == group]
+        names, unit = [channel.name for channel in channels], channels[0].unit
+        if len(names) <= AXES:
+            told.append(f"{', '.join(names)} ({unit})")
+        else:
+            told.append(f"{names[0]} to {names[-1]} ({group}, {unit})")
+    return ", ".join(told)
 
 
 def innovation_covariance(

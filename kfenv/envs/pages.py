@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from kfenv.envs import statistics
-from kfenv.envs.channels import PER_CHANNEL, channel_features
+from kfenv.envs.channels import PER_CHANNEL, channel_features, told_channels
 from kfenv.envs.fault_lists import known_faults, named_faults
 from kfenv.envs.knobs import (
     CHANNEL_NOISE,
@@ -38,7 +38,6 @@ from kfenv.scenarios import trajectories
 from kfenv.scenarios.scenario import MAX_RATE, MIN_RATE
 
 ORDINALS = ("first", "second", "third")
-AXES = 3  # as many channels of a group are told one by one
 
 
 def with_page(env_class: type) -> type:
@@ -105,28 +104,14 @@ def info(scenario: Any) -> str:
         f"""
         - ``time`` (s) of the filter step made last, its ``position_error`` (m) and ``nis`` (0 if
           nothing arrived), and its ``estimate`` of {len(scenario.motion.states)} states: {states};
-        - of the measurement that is pending ``innovation``, in {_channels(scenario)},
+        - of the measurement that is pending ``innovation``, in {told_channels(scenario.sensor)},
           ``innovation_variance`` in the squares of these units, and ``noise``, the standard
           deviations that the filter is told; innovation and variance are zero and infinite in
           channels that are missing and at the episode's end;
         - where the truth is known ``truth`` and ``nees`` (of the position, 3 degrees of freedom);
-        - where channels have knobs of their own ``innovation_covariance``, whose rows and
-          columns are zero for channels that are missing;
+        - with knobs of single channels ``innovation_covariance``, zero for missing channels;
         - after a step ``knobs``, the factors applied.""",
     )
-
-
-def _channels(scenario: Any) -> str:
-    """The measured channels, group by group, with their units."""
-    told = []
-    for group in scenario.sensor.groups:
-        channels = [channel for channel in scenario.sensor.channels if channel.group == group]
-        names, unit = [channel.name for channel in channels], channels[0].unit
-        if len(names) <= AXES:
-            told.append(f"{', '.join(names)} ({unit})")
-        else:
-            told.append(f"{names[0]} to {names[-1]} ({group}, {unit})")
-    return ", ".join(told)
 
 
 # ----- Spaces ---------------------------------------------------------------------------
@@ -146,9 +131,10 @@ def action_space(scenario: Any) -> str:
         A Gaussian sum as ``filter`` has one knob more, ``{OUTLIER_WEIGHT.name}``
         ({_range(OUTLIER_WEIGHT)}), which multiplies the odds that it gives an outlier.""",
         f"""
-        ``actions`` may also name channels ({_channels(scenario)}), or ``"{CHANNEL_NOISE}"`` for
-        all {len(scenario.sensor.channels)}. Such a knob multiplies the channel's standard
-        deviation, as far as those above and on top of them, and stands behind them.""",
+        ``actions`` may also name channels ({told_channels(scenario.sensor)}), or
+        ``"{CHANNEL_NOISE}"`` for all {len(scenario.sensor.channels)}. Such a knob multiplies the
+        channel's standard deviation on top of its group's, has the same range, and stands behind
+        those above.""",
     )
 
 
@@ -186,11 +172,10 @@ def observation_space(scenario: Any) -> str:
         Deviations are roots of the trace of the covariance predicted with nominal knobs.
         ``env.unwrapped.core.feature_names()`` names every component.""",
         f"""
-        For each channel that has a knob of its own {PER_CHANNEL} features follow the common ones.
-        They tell of v, the channel's innovation less what those of all other channels make one
-        expect, over the deviation that this leaves: {listed(channel_features())}; between
-        {-statistics.BOUND:g} and {statistics.BOUND:g}, and zero where the channel is missing
-        (the first and the last).""",
+        Each channel with a knob of its own adds {PER_CHANNEL} features behind the common ones. They
+        tell of v, what the other channels leave unexplained of its innovation, over that part's
+        deviation: {listed(channel_features())}; the first and the last are zero where it is
+        missing.""",
     )
 
 
