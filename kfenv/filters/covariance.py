@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from kfenv.filters.designs import FilterDesign
 from kfenv.filters.matrices import cholesky, diagonal, solve, symmetric, transpose
 from kfenv.filters.square_root import Correction
-from kfenv.filters.transforms import Ensemble, StateFunction, sigma_weights, unscented, wrap
+from kfenv.filters.transforms import (
+    Ensemble,
+    StateFunction,
+    linearised,
+    sigma_weights,
+    unscented,
+    wrap,
+)
 
 Array = NDArray[np.float64]
 
@@ -33,10 +40,9 @@ def moments(
     NaN where sigma points need a root and the covariance is not positive definite.
     """
     if design.transform == "extended":
-        value = wrap(function.values(mean[:, :, None])[:, :, 0], function.angles)
-        J = function.jacobian(mean)
+        value, J = linearised(function, mean)
         return Moments(value, J @ covariance @ transpose(J), covariance @ transpose(J), J, None)
-    weights = sigma_weights(design, mean.shape[1])
+    weights = sigma_weights(design, mean.shape[1], mean.dtype)
     points = unscented(function, mean, cholesky(covariance), weights)
     weighted = points.values * points.weights
     return Moments(
@@ -51,6 +57,11 @@ def moments(
 def start(factor: Array) -> Array:
     """What this form carries, from an initial lower factor (B, n, n)."""
     return factor @ transpose(factor)
+
+
+def spelled_out(covariance: Array) -> Array:
+    """The covariance (..., n, n) of what this form carries."""
+    return covariance
 
 
 def propagate(
@@ -88,6 +99,10 @@ def correct(
         H = measure.jacobian(posterior)
     elif design.update == "joseph-prior" and H is None:
         H = measure.jacobian(mean)
+    elif design.update in ("joseph-statistical", "joseph-omega"):  # S0 eq 16
+        H = transpose(solve(transpose(covariance), predicted.cross))
+    if design.update == "joseph-omega":
+        R = Pzz - H @ covariance @ transpose(H)
     new = _corrected(design.update, covariance, gain, Pzz, R, H, predicted.points)
     return Correction(posterior, new, innovation, cholesky(symmetric(Pzz)), nis)
 
@@ -105,5 +120,5 @@ def _corrected(
     if update == "joseph-exact":
         D = points.states - K @ points.values
         return (D * points.weights) @ transpose(D) + K @ R @ transpose(K)
-    G = np.eye(P.shape[-1]) - K @ H
+    G = np.eye(P.shape[-1], dtype=P.dtype) - K @ H
     return G @ P @ transpose(G) + K @ R @ transpose(K)

@@ -1,7 +1,7 @@
 """Linear algebra on batches of small matrices, (B, rows, columns), for the reference filters.
 
 Every function treats its filters apart: where one of them has no answer, its result
-is NaN, nothing is raised and the others do not notice.
+is NaN, nothing is raised and the others do not notice. Results have the arguments' precision.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def symmetric(A: Array) -> Array:
 
 def diagonal(d: Array) -> Array:
     """Diagonal matrices (B, m, m) of the rows of d (B, m)."""
-    return d[:, :, None] * np.eye(d.shape[1])
+    return d[:, :, None] * np.eye(d.shape[1], dtype=d.dtype)
 
 
 def tria(*blocks: Array) -> Array:
@@ -34,7 +34,8 @@ def tria(*blocks: Array) -> Array:
     """
     upper = np.linalg.qr(transpose(np.concatenate(blocks, axis=-1)), mode="r")
     negative = np.diagonal(upper, axis1=-2, axis2=-1) < 0.0
-    return transpose(upper) * np.where(negative, -1.0, 1.0)[:, None, :]
+    signs = np.where(negative, -1.0, 1.0).astype(upper.dtype)
+    return transpose(upper) * signs[:, None, :]
 
 
 def cholesky(P: Array) -> Array:

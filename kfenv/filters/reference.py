@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from math import pi
+from math import log, pi
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
-from kfenv.filters import covariance, square_root
+from kfenv.filters import covariance, square_root, unit_triangular
 from kfenv.filters.designs import FilterDesign, find_design
-from kfenv.filters.matrices import cholesky, solve_lower, transpose
+from kfenv.filters.matrices import cholesky, solve_lower
 from kfenv.filters.protocol import Episodes, Knobs, Measurement, measured
 from kfenv.filters.results import (
     BAD_INNOVATION,
@@ -31,6 +31,13 @@ from kfenv.models.namespaces import batch, dual
 Array = NDArray[np.float64]
 Status = NDArray[np.int64]
 
+LOG_TWO_PI = log(2.0 * pi)
+FORMS = {
+    "covariance": covariance,
+    "square-root": square_root,
+    "unit-triangular": unit_triangular,
+}
+
 
 class ReferenceFilter:
     """A `kfenv.filters.protocol.Filter` of one design.
@@ -43,9 +50,11 @@ class ReferenceFilter:
         design: a name in `kfenv.filters.designs.DESIGNS`, or a `FilterDesign`.
         kappa: spread of the sigma points in place of the design's; may be negative in
             covariance form.
+        dtype: precision of all that is computed, float64 or float32. Records are kept in
+            float64, which holds either.
 
     Raises:
-        ValueError: if there is no such design, or its weights do not exist.
+        ValueError: if there is no such design or precision, or its weights do not exist.
     """
 
     def __init__(
@@ -54,19 +63,23 @@ class ReferenceFilter:
         sensor: Sensor,
         design: FilterDesign | str = "srukf-joseph-exact",
         kappa: float | None = None,
+        dtype: DTypeLike = np.float64,
     ) -> None:
         self.motion, self.sensor = motion, sensor
         self.design = find_design(design, kappa)
+        self.dtype = np.dtype(dtype)
+        if self.dtype not in (np.float64, np.float32):
+            raise ValueError(f"dtype must be float64 or float32, got {self.dtype.name}.")
         if self.design.transform != "extended":
             sigma_weights(self.design, len(motion.states))  # complains at the door
-        self._form = square_root if self.design.form == "square-root" else covariance
+        self._form = FORMS[self.design.form]
         self._plain, self._dual = motion.build(batch), motion.build(dual)
         self._measure = sensor.build(batch), sensor.build(dual)
         self._state_angles = angle_indices(motion.states)
         self._channel_angles = angle_indices(sensor.channels)
 
     def __reduce__(self):
-        return ReferenceFilter, (self.motion, self.sensor, self.design)
+        return ReferenceFilter, (self.motion, self.sensor, self.design, None, self.dtype)
 
     def predict(
         self, mean: Array, factor: Array, inputs: Array, dt: Array, status: Status
@@ -77,7 +90,7 @@ class ReferenceFilter:
             TypeError: if the design carries covariances.
         """
         self._require_factors()
-        return self._predict(mean, factor, inputs, dt, status)
+        return self._predict(*self._rounded(mean, factor, inputs, dt), status)
 
     def innovate(
         self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status
@@ -88,7 +101,7 @@ class ReferenceFilter:
             TypeError: if the design carries covariances.
         """
         self._require_factors()
-        return self._update(prediction, knobs, measurement, status, correct=False)
+        return self._update(*self._all_rounded(prediction, knobs, measurement), status, False)
 
     def update(
         self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status
@@ -99,7 +112,7 @@ class ReferenceFilter:
             TypeError: if the design carries covariances.
         """
         self._require_factors()
-        return self._update(prediction, knobs, measurement, status, correct=True)
+        return self._update(*self._all_rounded(prediction, knobs, measurement), status, True)
 
     def run(self, episodes: Episodes, knobs: Knobs | None = None) -> Run:
         """See `Filter.run`."""
@@ -110,10 +123,17 @@ class ReferenceFilter:
         shape = *episodes.measurement.shape[:2], *episodes.factor.shape[1:]
         spreads = np.full(shape, np.nan)
         run = self._filter(episodes, knobs, spreads)
-        if self.design.form == "square-root":
-            with np.errstate(over="ignore"):  # of a filter that has long diverged
-                return History(*run, spreads @ transpose(spreads), spreads)
-        return History(*run, spreads, None)
+        with np.errstate(over="ignore"):  # of a filter that has long diverged
+            covariances = self._form.spelled_out(spreads)
+        return History(*run, covariances, spreads if self._form is square_root else None)
+
+    def _rounded(self, *arrays: Array) -> tuple[Array, ...]:
+        """In the filter's precision."""
+        return tuple(np.asarray(array, self.dtype) for array in arrays)
+
+    def _all_rounded(self, *records: tuple) -> tuple[tuple, ...]:
+        """Records of arrays in the filter's precision."""
+        return tuple(type(record)(*self._rounded(*record)) for record in records)
 
     def _require_factors(self) -> None:
         if self.design.form != "square-root":
@@ -125,13 +145,14 @@ class ReferenceFilter:
     def _predict(self, mean, spread, inputs, dt, status) -> Prediction:
         """`predict` for either form; spread is what the form carries."""
         step = StateFunction(self._plain.step, self._dual.step, self._state_angles, inputs, dt)
-        noise = np.zeros((len(mean), len(self.motion.states), len(self.motion.states)))
+        noise = np.zeros((len(mean), *2 * (len(self.motion.states),)), self.dtype)
         with np.errstate(all="ignore"):  # what fails is told by the status
             new_mean, root = self._form.propagate(step, mean, spread, self.design)
             entries = self._plain.noise_factor(tuple(mean.T), tuple(inputs.T), dt)
         for (row, column), entry in zip(self.motion.noise_pattern, entries, strict=True):
             noise[:, row, column] = entry
         self._blame_covariance(spread, new_mean, status)
+        self._blame_downdate(root, status, new_mean, spread)
         blame(status, BAD_PREDICTION, new_mean, root)
         return Prediction(new_mean, root, noise)
 
@@ -151,6 +172,7 @@ class ReferenceFilter:
             found = self._form.correct(measure, prediction.mean, spread, known, noise, self.design)
             told = _tell(found, present)
         self._blame_covariance(spread, found.innovation, status)
+        self._blame_downdate(found.root, status, found.innovation, spread, noise)
         blame(status, BAD_INNOVATION, np.where(arrived, found.nis, 0.0)[:, None])
         take = arrived & correct
         mean = np.where(take[:, None], wrap(found.mean, self._state_angles), prediction.mean)
@@ -162,9 +184,10 @@ class ReferenceFilter:
     def _filter(self, episodes: Episodes, knobs: Knobs | None, spreads: Array | None) -> Run:
         """Filter episodes; fills spreads (B, T, n, n) if they are wanted."""
         batch_size, steps = episodes.measurement.shape[:2]
-        knobs = knobs or Knobs.nominal(batch_size)
+        (knobs,) = self._all_rounded(knobs or Knobs.nominal(batch_size))
         status, failed_at = np.zeros(batch_size, np.int64), np.full(batch_size, -1)
-        mean, spread = episodes.mean, self._form.start(episodes.factor)
+        mean, factor = self._rounded(episodes.mean, episodes.factor)
+        spread = self._form.start(factor)
         means = np.full((batch_size, steps, mean.shape[1]), np.nan)
         nis = np.full((batch_size, steps), np.nan)
         dt = np.diff(episodes.time, prepend=episodes.time[:1])
@@ -173,9 +196,11 @@ class ReferenceFilter:
                 prediction = Prediction(mean, spread, np.zeros_like(spread))
                 blame(status, BAD_PREDICTION, mean, spread)
             else:
-                inputs, elapsed = episodes.motion_inputs[:, t], np.full(batch_size, dt[t])
-                prediction = self._predict(mean, spread, inputs, elapsed, status)
-            told = self._update(prediction, knobs, measured(episodes, t), status, correct=True)
+                elapsed = np.full(batch_size, dt[t])
+                known = self._rounded(episodes.motion_inputs[:, t], elapsed)
+                prediction = self._predict(mean, spread, *known, status)
+            (seen,) = self._all_rounded(measured(episodes, t))
+            told = self._update(prediction, knobs, seen, status, correct=True)
             mean, spread = told.mean, told.factor
             failed_at[(status != OK) & (failed_at < 0)] = t
             sound = status == OK
@@ -195,20 +220,28 @@ class ReferenceFilter:
             guilty = suspects[rootless & sound]
             status[guilty] = np.where(status[guilty] == OK, NOT_POSITIVE_DEFINITE, status[guilty])
 
+    def _blame_downdate(self, root: Array, status: Status, *sound: Array) -> None:
+        """Where a root is not finite for all that what it comes of is, a downdate found none."""
+        if self.design.centre == "downdated":
+            failed = ~np.isfinite(root).all(axis=(1, 2)) & (status == OK)
+            for array in sound:
+                failed &= np.isfinite(array).reshape(len(status), -1).all(axis=1)
+            status[failed] = NOT_POSITIVE_DEFINITE
+
 
 def _nothing(value: Array) -> tuple[Array, ...]:
     """The last five fields of `Update` where no channel arrived."""
     batch_size = len(value)
-    nothing = np.full((3, *value.shape), np.nan)
-    return *nothing, np.full(batch_size, np.nan), np.zeros(batch_size)
+    nothing = np.full((3, *value.shape), np.nan, value.dtype)
+    return *nothing, np.full(batch_size, np.nan, value.dtype), np.zeros(batch_size, value.dtype)
 
 
 def _tell(found: Correction, present: NDArray[np.bool_]) -> tuple[Array, ...]:
     """The last five fields of `Update`; NaN in the channels that are missing."""
-    count, arrived = present.sum(axis=1), present.any(axis=1)
+    count, arrived = present.sum(axis=1, dtype=found.nis.dtype), present.any(axis=1)
     whitened = solve_lower(found.root, found.innovation[:, :, None])[:, :, 0]
     log_determinant = np.sum(np.log(np.diagonal(found.root, axis1=1, axis2=2)), axis=1)
-    log_likelihood = -0.5 * (found.nis + count * np.log(2.0 * pi)) - log_determinant
+    log_likelihood = -0.5 * (found.nis + count * LOG_TWO_PI) - log_determinant
     return (
         np.where(present, found.innovation, np.nan),
         np.where(present, np.sum(found.root**2, axis=2), np.nan),

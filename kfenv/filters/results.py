@@ -15,7 +15,7 @@ FAILURES = (
     "the prediction is not finite: the state has left the motion model's domain",
     "the innovation is not finite: check the measurement and its noise",
     "the updated state is not finite: the innovation covariance is singular",
-    "the covariance is no longer positive definite: choose a square-root form",
+    "the covariance is no longer positive definite: choose a square-root Joseph form",
 )
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import pi
+from math import pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from kfenv.filters.designs import FilterDesign
 from kfenv.models.model import Component
@@ -57,7 +57,8 @@ class StateFunction:
         inputs = tuple(self.inputs.T[:, :, None])
         dt = () if self.dt is None else (self.dt[:, None],)
         components = self.plain(tuple(np.moveaxis(points, 1, 0)), inputs, *dt)
-        values = np.empty((len(points), len(components), points.shape[2]))
+        shape = len(points), len(components), points.shape[2]
+        values = np.empty(shape, points.dtype)
         for c, component in enumerate(components):
             values[:, c] = component
         return self._silence(values)
@@ -66,7 +67,7 @@ class StateFunction:
         """Exact first derivatives at mean (B, n): (B, m, n)."""
         dt = () if self.dt is None else (self.dt,)
         components = self.dual(seed(mean), tuple(self.inputs.T), *dt)
-        slopes = np.zeros((len(mean), len(components), mean.shape[1]))
+        slopes = np.zeros((len(mean), len(components), mean.shape[1]), mean.dtype)
         for c, component in enumerate(components):
             if isinstance(component, Dual):  # a constant has no slope
                 slopes[:, c] = component.gradient
@@ -86,8 +87,11 @@ class Weights(NamedTuple):
     covariance: Array  # (2n+1,)
 
 
-def sigma_weights(design: FilterDesign, n: int) -> Weights:
+def sigma_weights(design: FilterDesign, n: int, dtype: DTypeLike = np.float64) -> Weights:
     """Sigma-point weights for n states; with alpha = 1, beta = 0 those of SPEC 2.2.
+
+    Args:
+        dtype: of the weights, which are worked out in float64.
 
     Raises:
         ValueError: if n + kappa is not positive, or a central weight is negative in
@@ -103,12 +107,13 @@ def sigma_weights(design: FilterDesign, n: int) -> Weights:
         mean[0] = kappa / scale  # exactly zero for the cubature points
     covariance = mean.copy()
     covariance[0] += 1.0 - design.alpha**2 + design.beta
-    if design.form == "square-root" and covariance[0] < 0.0:
+    if design.centre == "stacked" and design.form == "square-root" and covariance[0] < 0.0:
         raise ValueError(
             f"The central weight {covariance[0]:.3g} is negative and has no square root: "
-            "raise kappa, alpha or beta, or choose the form 'covariance'."
+            "raise kappa, alpha or beta, or choose the form 'covariance', or the centre "
+            "'downdated' to study what becomes of it."
         )
-    return Weights(np.sqrt(scale), mean, covariance)
+    return Weights(sqrt(scale), mean.astype(dtype), covariance.astype(dtype))
 
 
 class Ensemble(NamedTuple):
@@ -138,6 +143,11 @@ def unscented(function: StateFunction, mean: Array, factor: Array, weights: Weig
 
 def extended(function: StateFunction, mean: Array, factor: Array) -> Ensemble:
     """The function linearised at the mean; the columns of the factor are the deviations."""
+    value, J = linearised(function, mean)
+    return Ensemble(value, factor, J @ factor, np.ones(factor.shape[2], factor.dtype))
+
+
+def linearised(function: StateFunction, mean: Array) -> tuple[Array, Array]:
+    """Value (B, m) and Jacobian (B, m, n) of the function at the mean."""
     value = wrap(function.values(mean[:, :, None])[:, :, 0], function.angles)
-    deviations = function.jacobian(mean) @ factor
-    return Ensemble(value, factor, deviations, np.ones(factor.shape[2]))
+    return value, function.jacobian(mean)

@@ -114,7 +114,7 @@ def printed_jacobian(state: Array, inputs: Array, dt: float) -> Array:
     relative = satellite[..., 1, :] - state[..., None, 1:9:3]
     distance = np.linalg.norm(offset, axis=-1, keepdims=True)
     speed = np.sum(offset * relative, axis=-1, keepdims=True) / distance
-    H = np.zeros((*offset.shape[:-2], 2, CHANNELS, 11))
+    H = np.zeros((*offset.shape[:-2], 2, CHANNELS, 11), state.dtype)
     ranges, rates = H[..., 0, :, :], H[..., 1, :, :]
     ranges[..., 0:9:3] = -offset / distance
     ranges[..., 1:9:3] = -offset / distance * dt

@@ -19,8 +19,8 @@ class Dual:
     __array_ufunc__ = None  # NumPy arrays on the left defer to our operators
 
     def __init__(self, value: ArrayLike, gradient: ArrayLike) -> None:
-        self.value = np.asarray(value, dtype=float)
-        self.gradient = np.asarray(gradient, dtype=float)
+        self.value = _real(value)
+        self.gradient = _real(gradient)
 
     def __add__(self, other):
         other = _lift(other, self)
@@ -55,11 +55,17 @@ class Dual:
     __rmul__ = __mul__
 
 
+def _real(numbers: ArrayLike) -> Array:
+    """Single precision stays single."""
+    array = np.asarray(numbers)
+    return array if array.dtype.kind == "f" else array.astype(float)
+
+
 def _lift(number, like: Dual) -> Dual:
-    """Give a constant a zero gradient."""
+    """Give a constant a zero gradient, and the other's precision."""
     if isinstance(number, Dual):
         return number
-    value = np.broadcast_to(np.asarray(number, dtype=float), like.value.shape)
+    value = np.broadcast_to(np.asarray(number, dtype=like.value.dtype), like.value.shape)
     return Dual(value, np.zeros_like(like.gradient))
 
 
@@ -114,7 +120,7 @@ def function(f):
 
 def seed(state: Array) -> tuple[Dual, ...]:
     """Turn states (..., n) into n duals whose gradients are the unit vectors."""
-    identity = np.eye(state.shape[-1])
+    identity = np.eye(state.shape[-1], dtype=state.dtype)
     return tuple(
         Dual(state[..., i], np.broadcast_to(identity[i], state.shape))
         for i in range(state.shape[-1])
