@@ -14,7 +14,7 @@ from .options import Resume, Seed
 def reproduce(
     experiment: Annotated[
         str,
-        typer.Argument(metavar="NAME", help="E1 to E6, hard (lost tracks), or all."),
+        typer.Argument(metavar="NAME", help="E1 to E6, precision, hard (lost tracks), or all."),
     ],
     output: Annotated[Path, typer.Option(help="New folder for figures and claims.")],
     runs: Annotated[
@@ -35,7 +35,8 @@ def reproduce(
 
     E1 and E2: radar of constant noise at 10 and 2 Hz; E3: phased array under jamming and loss;
     E4: GNSS under a clock fault; E5: bistatic tracking; E6: inertial navigation with outlying
-    fixes; hard: lost tracks in hard geometry.
+    fixes; precision: every design of E1 and E2 in float32 and float64; hard: lost tracks in hard
+    geometry.
     claims.md holds the table.
     """
     from ..reproduction.claims import claims_table

@@ -16,6 +16,7 @@ from . import (
     gnss_tracking,
     hard_geometry,
     inertial_navigation,
+    precision,
     radar_tracking,
     radar_validation,
 )
@@ -52,6 +53,9 @@ EXPERIMENTS: dict[str, Experiment] = {
     "E5": Experiment("bistatic tracking, linear filter (S3 sec. 5)", 2000, bistatic.reproduce),
     "E6": Experiment(
         "inertial navigation with outlying fixes (S4 sec. 5)", 100, inertial_navigation.reproduce
+    ),
+    "precision": Experiment(
+        "every design of E1 and E2 in float32 and float64", 50, precision.reproduce
     ),
     "hard": Experiment("lost tracks in hard geometry", 200, hard_geometry.reproduce),
 }

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from kfenv import __version__
 from kfenv.filters.adaptive import AdaptiveDesign, AdaptiveFilter
+from kfenv.filters.designs import FilterDesign
 from kfenv.filters.matrices import cholesky, solve_lower, symmetric
 from kfenv.filters.protocol import Knobs
 from kfenv.filters.reference import ReferenceFilter
@@ -39,15 +40,17 @@ class Method:
 
     Attributes:
         label: its name in tables and figures.
-        design: a name in `kfenv.filters.designs.DESIGNS`, or an adaptive design.
+        design: a name in `kfenv.filters.designs.DESIGNS`, or a design.
         kappa: spread of the sigma points in place of the design's.
         process_scale: factor of the process noise covariance that the filter assumes.
+        dtype: what a design of the family computes in.
     """
 
     label: str
-    design: str | AdaptiveDesign
+    design: str | FilterDesign | AdaptiveDesign
     kappa: float | None = None
     process_scale: float = 1.0
+    dtype: str = "float64"
 
 
 @dataclass(frozen=True)
@@ -174,7 +177,7 @@ def filter_recording(scenario: Any, method: Method, recording: Recording) -> His
     if isinstance(method.design, AdaptiveDesign):
         tier = AdaptiveFilter(*models, method.design, compiled=True)
     else:
-        tier = ReferenceFilter(*models, method.design, method.kappa)
+        tier = ReferenceFilter(*models, method.design, method.kappa, method.dtype)
     ones = np.ones(len(recording))
     return tier.history(recording, Knobs(ones, method.process_scale * ones))
 

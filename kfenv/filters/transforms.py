@@ -130,7 +130,7 @@ def unscented(function: StateFunction, mean: Array, factor: Array, weights: Weig
 
     Values are averaged as offsets from the central point, so that angles do not break.
     """
-    centre = np.zeros((*mean.shape, 1))
+    centre = np.zeros((*mean.shape, 1), mean.dtype)
     states = weights.spread * np.concatenate([centre, factor, -factor], axis=2)
     values = function.values(mean[:, :, None] + states)
     middle = values[:, :, 0]
