@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from kfenv.agents.reproduction import precision
+from kfenv.agents.reproduction import precision, summary
 from kfenv.agents.reproduction.claims import FAILS, HOLDS
 from kfenv.agents.reproduction.monte_carlo import Method, Study, run_study
 from kfenv.agents.reproduction.operations import ALGORITHMS, joseph_in_s1, operations, table_3
@@ -292,3 +292,7 @@ class TestExperiment:
         gone[0, study.time > 140.0] = np.nan
         worse = tally(study, found["float32"]._replace(error=gone), found["float64"])
         assert (worse.lost, worse.lost_at) == (1, 140.0)
+
+    def test_claims_are_named_as_the_summary_reads_them(self):
+        claims = [*precision._what_is_bought({"E2, prior 100 km": tallies()}), *table_3()]
+        assert {summary._experiment(claim) for claim in claims} == {"precision"}

@@ -174,7 +174,7 @@ def table_3() -> list[Claim]:
     what = f"of a measurement update of {STATES} states by {CHANNELS} channels"
     return [
         Claim(
-            "Table 3, products",
+            "Table 3, products (precision)",
             f"multiplications, divisions and square roots {what}",
             "S0 Table 3",
             "made and printed, one channel at a time, variances included where P is factorised: "
@@ -183,7 +183,7 @@ def table_3() -> list[Claim]:
             judge(others[1]),
         ),
         Claim(
-            "Table 3, sums",
+            "Table 3, sums (precision)",
             f"additions {what}",
             "S0 Table 3",
             f"made and printed: {additions[0]}. Sums are started here with their first term, "

@@ -136,7 +136,7 @@ def _as_printed(tables: dict[str, Tallies]) -> list[Claim]:
         sigma = max(tables[name][f"{f}-unsymmetrised", SINGLE].broken for f in ("ukf", "ckf"))
         claims.append(
             Claim(
-                f"C1 ({name}, float32)",
+                f"C1 in {name}, float32 (precision)",
                 "the classical EKF's covariance loses its conditioning",
                 "S0, S1 Fig. 6",
                 f"κ(P) > 1e6 in {single.broken} runs, median {single.broken_at:.0f} s, and "
@@ -170,11 +170,11 @@ def _bought(tallies: Tallies, case: str, statement: str, group: tuple[str, ...])
     moved = {g: "/".join(_moved(tallies[label, SINGLE]) for label in g) for g in groups}
     told = "; ".join(f"{LABELS[g]} {spoilt[g]} ({moved[g]} m)" for g in groups)
     return Claim(
-        f"{LABELS[group]} ({case}, float32)",
+        f"{LABELS[group]} in {case}, float32 (precision)",
         statement,
         "S0, S1, their theme",
-        f"of EKF, UKF and CKF spoilt by rounding, in brackets how far it moves each: {told}; "
-        f"spoilt is what loses more tracks than in float64 or is moved by over {MATTERS:.0%} of "
+        f"of EKF, UKF and CKF spoilt by rounding, in brackets how far it moves each: {told}. "
+        f"Spoilt is what loses more tracks than in float64 or is moved by over {MATTERS:.0%} of "
         "its RMSE",
         judge(spoilt[group] < min(spoilt[g] for g in groups[:-1])),
     )
@@ -199,7 +199,7 @@ def _never_fails(tables: dict[str, Tallies]) -> Claim:
         failed += lost["srukf-joseph"]
         told.append(f"{case}: " + ", ".join(f"{label} {count}" for label, count in lost.items()))
     return Claim(
-        "C9 (float32)",
+        "C9 in float32 (precision)",
         "SRUKF-Joseph never fails",
         "S0, S1 conclusions",
         f"runs lost in float32: {'; '.join(told)}",
@@ -218,7 +218,7 @@ def _factorised(tables: dict[str, Tallies]) -> Claim:
         )
         best &= all(t.lost <= rows["ekf-joseph"].lost for t in rows.values())
     return Claim(
-        "Table 3, robustness",
+        "Table 3, robustness (precision)",
         "factorised updates are as robust as Joseph's, at a lower cost",
         "S0 Table 3",
         f"EKF in float32, distance from float64 and tracks lost: {'; '.join(told)}",
@@ -243,7 +243,7 @@ def _statistical(cases: dict[str, Case], tables: dict[str, Tallies]) -> Claim:
             f"{moved['ukf-joseph-omega']:.0e} m (RMSE {rmse['ukf-joseph-omega']:.4g} m)"
         )
     return Claim(
-        "F9",
+        "F9 (precision)",
         "the Joseph form with H = (P⁻¹Pxz)ᵀ is the classical form",
         "S0 eq 15, 16, 18",
         f"UKF in float64: {'; '.join(told)}",
@@ -261,7 +261,7 @@ def _downdated(tables: dict[str, Tallies]) -> Claim:
         moved = [f"{name} {_moved(rows[name, SINGLE])} m" for name in NEGATIVE]
         told.append(f"{case}: {', '.join(ended) or 'none'} (moved by float32: {', '.join(moved)})")
     return Claim(
-        "F6",
+        "F6 (precision)",
         "square-root filters need no downdate that could fail",
         "S0 eq 22, 26",
         f"runs that ended for want of a root where w0 < 0: {'; '.join(told)}",

@@ -369,7 +369,7 @@ def make_filter(scenario: Any, options: Options) -> Filter:
         known = [name for name, design in DESIGNS.items() if design.form == "square-root"]
         raise ValueError(
             f"The filter {options.filter!r} carries a covariance, and the knobs need a "
-            f"square-root factor: choose one of {', '.join(known)}."
+            f"factor: choose one of {', '.join(known)}."
         )
     return ReferenceFilter(motion, sensor, options.filter, kappa=options.kappa)
 
