@@ -123,7 +123,7 @@ def test_the_features_are_what_their_page_says(env_id):
             part = S[np.ix_(here, here)]
             nis = env.core._pending.nis[0]
             squared = nu[here] @ np.linalg.solve(part, nu[here])
-            assert squared == pytest.approx(nis, rel=2e-3)  # curvature is shared by the channels
+            assert squared == pytest.approx(nis, rel=2e-3)  # channels share their curvature
         features = observation[-channels * (PER_CHANNEL + 1) : -channels].reshape(channels, -1)
         for c in range(channels):
             v = 0.0
@@ -139,6 +139,30 @@ def test_the_features_are_what_their_page_says(env_id):
                       0.5 * np.log(square[c] + 1e-4), c in here]  # fmt: skip
             np.testing.assert_allclose(features[c], np.clip(wanted, -BOUND, BOUND), atol=1e-4)
         observation, *_, info = env.step(zeros(env))
+
+
+def test_the_covariance_is_positive_definite_after_a_loss_with_much_process_noise():
+    """Where the prediction is so wide that the measurement bends within it."""
+    faults = {"pll_failure": {"start": 5.0, "duration": [10.0, 10.0]}}
+    env = make_vec(
+        GNSS, 8, rate=1.0, duration=20.0, faults=faults, actions=["process_noise", "channel_noise"]
+    )
+    _, info = env.reset(seed=0)
+    action = zeros(env)
+    action[:, 0] = 0.75  # a thousand times
+    checked = 0
+    for _ in range(20):
+        for S, variance in zip(
+            info["innovation_covariance"], info["innovation_variance"], strict=True
+        ):
+            here = np.isfinite(variance)
+            scale = np.sqrt(np.diag(S)[here])
+            if here.any():
+                part = S[np.ix_(here, here)] / np.outer(scale, scale)
+                assert np.linalg.eigvalsh(part).min() > 0.0
+                checked += 1
+        info = env.step(action)[-1]
+    assert checked > 70
 
 
 def test_beside_others_is_standard_normal():

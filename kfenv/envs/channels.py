@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from kfenv.envs.statistics import BOUND
 from kfenv.filters.matrices import cholesky
+from kfenv.filters.protocol import Measurement
 from kfenv.filters.results import Update
 from kfenv.models.model import Sensor
 from kfenv.models.namespaces import batch as numpy_batch
@@ -28,9 +29,11 @@ class Channels:
         scenario: gives the sensor.
         chosen: (K,) the channels whose knobs are exposed, those that are observed.
         batch: B.
+        kappa: of the filter's sigma points.
     """
 
-    def __init__(self, scenario: Any, chosen: NDArray[np.int64], batch: int) -> None:
+    def __init__(self, scenario: Any, chosen: NDArray[np.int64], batch: int, kappa: float) -> None:
+        self._spread = np.sqrt(len(scenario.motion.states) + kappa)
         channels = scenario.sensor.channels
         self._chosen, self._names = chosen, [channels[c].name for c in chosen]
         self._measure = scenario.sensor.build(numpy_batch)
@@ -45,7 +48,7 @@ class Channels:
         self._mean[chosen] = 0.0
         self._square[chosen] = 1.0
 
-    def collect(self, pending: Update, inputs: Array, active: NDArray[np.bool_]) -> None:
+    def collect(self, pending: Update, told: Measurement, active: NDArray[np.bool_]) -> None:
         """Take the pending innovations of the active filters into the statistics."""
         missing = np.isnan(pending.innovation)
         self._beside[active] = np.nan
@@ -54,8 +57,8 @@ class Channels:
         if not len(heard):
             return
         self.covariance[heard] = innovation_covariance(
-            self._measure, self._angle, *(x[heard] for x in (
-                pending.mean, pending.factor, inputs, pending.variance, missing)),
+            self._measure, self._angle, self._spread, *(x[heard] for x in (
+                pending.mean, pending.factor, told.inputs, pending.variance, told.noise, missing)),
         )  # fmt: skip
         residual, deviation = beside_others(pending.innovation[heard], self.covariance[heard])
         self._beside[heard] = residual / deviation
@@ -105,31 +108,36 @@ def told_channels(sensor: Sensor) -> str:
 
 
 def innovation_covariance(
-    measure: Any, angle: NDArray[np.bool_], mean: Array, factor: Array, inputs: Array,
-    variance: Array, missing: NDArray[np.bool_],
+    measure: Any, angle: NDArray[np.bool_], spread: float, mean: Array, factor: Array,
+    inputs: Array, variance: Array, noise: Array, missing: NDArray[np.bool_],
 ) -> Array:  # fmt: skip
     """The covariance (B, m, m) of the innovations, zero in rows and columns of missing channels.
 
-    H P H^T with H by statistical linearisation, from points one deviation to either side along
-    the factor; on the diagonal the filter's own variance (B, m), with noise and curvature.
+    H P H^T with H by statistical linearisation at the filter's sigma points; on the diagonal the
+    filter's own variance, with noise and curvature. Positive definite whatever the filter: what
+    its variance has beyond H P H^T counts as the noise at least.
 
     Args:
         measure: the sensor's function for arrays.
         angle: (m,) which channels are angles.
+        spread: of the sigma points, in deviations.
         mean, factor: (B, n), (B, n, n) of the predicted state.
         inputs: (B, k) of the sensor.
         variance: (B, m) of the innovations.
+        noise: (B, m) deviations that the filter is told.
         missing: (B, m) which channels did not arrive.
     """
     known = tuple(inputs.T[..., None])
-    points = ((mean[..., None] + side * factor).swapaxes(0, 1) for side in (1.0, -1.0))
+    points = ((mean[..., None] + side * factor).swapaxes(0, 1) for side in (spread, -spread))
     high, low = (np.broadcast_arrays(*measure(tuple(states), known)) for states in points)
     slope = np.stack(high, axis=1) - np.stack(low, axis=1)
     slope[:, angle] = np.arctan2(np.sin(slope[:, angle]), np.cos(slope[:, angle]))
     slope[missing] = 0.0
-    covariance = 0.25 * slope @ slope.transpose(0, 2, 1)
+    slope /= 2.0 * spread
+    covariance = slope @ slope.transpose(0, 2, 1)
     places = np.arange(covariance.shape[1])
-    covariance[:, places, places] = np.where(missing, 0.0, variance)
+    rest = np.maximum(variance - covariance[:, places, places], noise**2)
+    covariance[:, places, places] += np.where(missing, 0.0, rest)
     return covariance
 
 

@@ -92,7 +92,9 @@ class Core:
         self._log_low = np.log([knob.low for knob in self.knobs])
         self._log_high = np.log([knob.high for knob in self.knobs])
         single = self.knob_place[self.knob_place >= len(shared)] - len(shared)
-        self._channels = Channels(self.scenario, single, self.batch) if len(single) else None
+        self._channels = None
+        if len(single):
+            self._channels = Channels(self.scenario, single, self.batch, self.options.kappa)
 
     # ----- episodes -----------------------------------------------------------------
 
@@ -257,7 +259,7 @@ class Core:
             self._pending.whitened, self._group, self._statistics, self._since, dt, work
         )
         if self._channels is not None:
-            self._channels.collect(self._pending, arrived.inputs, work == 0)
+            self._channels.collect(self._pending, arrived, work == 0)
 
     def _score(self, active: Mask) -> None:
         if self.has_truth:

@@ -92,7 +92,7 @@ class SatelliteGate(SatelliteRule):
         arrived = ~np.isnan(info["innovation"])
         w = self._sizes(info, arrived)
         window, gate = self.values["window"], self.values["gate"]
-        median = self._medians(w, arrived)
+        median = self._medians(w)
         bounded = np.clip(np.nan_to_num(w) / np.maximum(median, 1.0), -WILD, WILD)
         self._mean += np.where(arrived, (bounded - self._mean) / window, 0.0)
         self._scale *= np.clip(median, 0.1, 10.0) ** (1.0 / self.values["noise_window"])
@@ -111,9 +111,9 @@ class SatelliteGate(SatelliteRule):
         own = deviation**2 - (factor**2 - self._scale**2) * info["noise"] ** 2
         return residual / np.sqrt(np.maximum(own, (self._scale * info["noise"]) ** 2))
 
-    def _medians(self, w: Array, arrived: NDArray[np.bool_]) -> Array:
+    def _medians(self, w: Array) -> Array:
         """Of |w| over the deviation's, for each channel its group's; 1 where too few are used."""
-        used = arrived & ~np.tile(self._excluded, 2)
+        used = ~np.isnan(w) & ~np.tile(self._excluded, 2)
         medians = np.ones(w.shape)
         for part in (RANGES, RATES):
             rows = np.flatnonzero(used[:, part].sum(axis=1) >= LEAST)
