@@ -13,7 +13,7 @@ from kfenv.filters.designs import DESIGNS, FilterDesign
 from kfenv.scenarios.radar.validation import RadarValidation
 
 from . import figures, precision_figures
-from .claims import Claim, judge
+from .claims import Claim, digits, judge
 from .comparisons import MATTERS, ROUNDING
 from .laboratory import Laboratory
 from .monte_carlo import Method, Outcome, Study
@@ -139,11 +139,11 @@ def _as_printed(tables: dict[str, Tallies]) -> list[Claim]:
                 f"C1 in {name}, float32 (precision)",
                 "the classical EKF's covariance loses its conditioning",
                 "S0, S1 Fig. 6",
-                f"κ(P) > 1e6 in {single.broken} runs, median {single.broken_at:.0f} s, and "
-                f"{single.lost} lost, where float64 has {double.broken}, median "
-                f"{double.broken_at:.0f} s, and {double.lost}; symmetrised, in float32, "
-                f"{tables[name]['ekf-classical', SINGLE].broken}; of the UKF and CKF as printed "
-                f"at most {sigma}",
+                f"κ(P) > 1e6 in {single.broken} of {single.runs} runs, median "
+                f"{single.broken_at:.0f} s, and {single.lost} lost, where float64 has "
+                f"{double.broken}, median {double.broken_at:.0f} s, and {double.lost}; "
+                f"symmetrised, in float32, {tables[name]['ekf-classical', SINGLE].broken}; "
+                f"of the UKF and CKF as printed at most {sigma}",
                 judge(single.broken > 0, reason_holds=not cured),
             )
         )
@@ -168,7 +168,7 @@ def _bought(tallies: Tallies, case: str, statement: str, group: tuple[str, ...])
     groups = (NEITHER, ROOT, JOSEPH, BOTH) if group == BOTH else (NEITHER, group)
     spoilt = {g: sum(_spoilt(tallies, label) for label in g) for g in groups}
     moved = {g: "/".join(_moved(tallies[label, SINGLE]) for label in g) for g in groups}
-    told = "; ".join(f"{LABELS[g]} {spoilt[g]} ({moved[g]} m)" for g in groups)
+    told = "; ".join(f"{LABELS[g]} {spoilt[g]} ({moved[g]})" for g in groups)
     return Claim(
         f"{LABELS[group]} in {case}, float32 (precision)",
         statement,
@@ -186,7 +186,8 @@ def _spoilt(tallies: Tallies, label: str) -> bool:
 
 
 def _moved(found: Tally) -> str:
-    return f"{found.rounding:.1g}" + (f", {found.lost} lost" if found.lost else "")
+    """How far rounding moves a filter, m, or how many tracks it is lost with."""
+    return f"{found.lost} lost" if found.lost else f"{digits(found.rounding)} m"
 
 
 def _never_fails(tables: dict[str, Tallies]) -> Claim:
@@ -258,8 +259,8 @@ def _downdated(tables: dict[str, Tallies]) -> Claim:
         rows = {key: t for key, t in tallies.items() if key[0] in NEGATIVE}
         failed += sum(t.rootless for (name, _), t in rows.items() if name.startswith("sr"))
         ended = [f"{' '.join(key)} {t.rootless}" for key, t in rows.items() if t.rootless]
-        moved = [f"{name} {_moved(rows[name, SINGLE])} m" for name in NEGATIVE]
-        told.append(f"{case}: {', '.join(ended) or 'none'} (moved by float32: {', '.join(moved)})")
+        moved = [f"{name} {_moved(rows[name, SINGLE])}" for name in NEGATIVE]
+        told.append(f"{case}: {', '.join(ended) or 'none'} (float32: {', '.join(moved)})")
     return Claim(
         "F6 (precision)",
         "square-root filters need no downdate that could fail",

@@ -30,6 +30,7 @@ LOST_BEYOND, LOST_AFTER = 1000.0, 150.0  # m rms, s (SPEC 7.1: a vague prior sta
 class Tally(NamedTuple):
     """One design in one precision over the runs of a case."""
 
+    runs: int
     lost: int
     lost_at: float  # s, median of when these were last on track
     rootless: int  # runs that ended since the covariance was not positive definite
@@ -45,6 +46,7 @@ def tally(study: Study, outcome: Outcome, reference: Outcome) -> Tally:
     error = outcome.position_error[~gone][:, study.time > SETTLED]
     runs = np.sqrt(np.mean(np.sum(error**2, axis=2), axis=1))
     return Tally(
+        len(gone),
         int(gone.sum()),
         _median(_last_on_track(study, outcome)[gone]),
         int(np.sum(outcome.failure == NOT_POSITIVE_DEFINITE)),

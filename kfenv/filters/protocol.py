@@ -80,10 +80,10 @@ def measured(episodes: Episodes, t: int) -> Measurement:
 class Filter(Protocol):
     """A batch of filters for one motion and one sensor.
 
-    All arrays are float64 and batch first: means (B, n), lower factors (B, n, n),
-    measurements (B, m) with NaN where nothing arrived. A filter that fails sets its
-    entry of ``status`` (see `kfenv.filters.results.FAILURES`), its outputs are then
-    meaningless, and the others do not notice.
+    All arrays are float64 (a `ReferenceFilter` may be told float32) and batch first: means
+    (B, n), lower factors (B, n, n), measurements (B, m) with NaN where nothing arrived. A
+    filter that fails sets its entry of ``status`` (see `kfenv.filters.results.FAILURES`), its
+    outputs are then meaningless, and the others do not notice.
     """
 
     motion: Motion
