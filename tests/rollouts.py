@@ -111,11 +111,9 @@ def play(env: gym.Env, actions, seed: int | None = None) -> list[tuple]:
 
 
 def random_actions(shape: tuple[int, ...], count: int, seed: int = 5) -> list:
-    """Mostly small ones, the ends of the knobs among them but for fading's, at which tracks end."""
+    """Mostly small ones, the ends of the knobs among them."""
     rng = np.random.default_rng(seed)
-    actions = np.clip(rng.standard_cauchy((count, *shape)) / 20.0, -1, 1)
-    actions[..., 0] /= 4.0
-    return list(actions.astype(np.float32))
+    return list(np.clip(rng.standard_cauchy((count, *shape)) / 20.0, -1, 1).astype(np.float32))
 
 
 def assert_same(one, other, where: str = "") -> None:

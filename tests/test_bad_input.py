@@ -39,6 +39,8 @@ WRONG = [  # keyword argument of every environment, what must be said of it
     ({"actions": "noise"}, "'noise'"),
     ({"actions": []}, "no knob"),
     ({"actions": 3}, "3"),
+    ({"most_fading": 1.0}, "most_fading must be a number above 1"),
+    ({"most_fading": "10"}, "most_fading"),
     ({"filter": "srukf-jospeh"}, "srukf-joseph"),
     ({"filter": "ukf-joseph"}, "'ukf-joseph' carries a covariance"),
     ({"filter": "ckf"}, "name it as an agent of `kfenv evaluate`"),

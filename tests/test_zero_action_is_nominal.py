@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rollouts import change, draw, every_environment, make, make_vec, zeros
 
-from kfenv.envs.knobs import FADING, NOISE_RANGE, PROCESS_NOISE
+from kfenv.envs.knobs import LEAST_FADING, MOST_FADING, NOISE_RANGE, PROCESS_NOISE
 from kfenv.filters.engine import Engine
 from kfenv.filters.protocol import Knobs
 
@@ -14,7 +14,7 @@ SEEDS = range(3)
 def ranges(env_id):
     """The knobs by name, and the factors at their ends."""
     return {
-        "fading": (FADING.low, FADING.high),
+        "fading": (LEAST_FADING, MOST_FADING),
         "process_noise": (PROCESS_NOISE.low, PROCESS_NOISE.high),
         **{f"{group}_noise": NOISE_RANGE for group in make(env_id).scenario.sensor.groups},
     }

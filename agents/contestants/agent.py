@@ -16,6 +16,7 @@ from kfenv.envs.knobs import (
     FADING,
     MEASUREMENT_NOISE,
     PROCESS_NOISE,
+    WIDEST_FADING,
     Knob,
     actions_for,
 )
@@ -130,8 +131,8 @@ class Agent(Contestant, ABC):
     def own_options(self) -> dict[str, Any]:
         """Options of the environment that belong to the agent."""
         if self.single_channels:
-            return {"actions": (FADING.name, PROCESS_NOISE.name, MEASUREMENT_NOISE, CHANNEL_NOISE)}
-        return {"actions": None} if self.all_knobs else {}
+            return {"actions": (FADING, PROCESS_NOISE.name, MEASUREMENT_NOISE, CHANNEL_NOISE)}
+        return {"actions": None, "most_fading": WIDEST_FADING} if self.all_knobs else {}
 
     @abstractmethod
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kfenv.envs.knobs import MOST_FADING
+
 from .agent import Agent, Array
 from .policy import NumpyPolicy
 
 # What a policy was trained with and must be evaluated with, and its default.
-OWN_OPTIONS = {"actions": None, "decision_interval": None}
+OWN_OPTIONS = {"actions": None, "decision_interval": None, "most_fading": MOST_FADING}
 
 
 class Learned(Agent):

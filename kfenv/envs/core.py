@@ -83,11 +83,13 @@ class Core:
         self.observation_size = len(self.feature_names())
 
     def _prepare_knobs(self, sensor: Sensor) -> None:
-        mixture, names = self.options.mixture, [channel.name for channel in sensor.channels]
-        shared = knobs_of(sensor.groups, mixture)
+        options, names = self.options, [channel.name for channel in sensor.channels]
+        shared = knobs_of(sensor.groups, options.mixture, options.most_fading)
         self._outlier_knob, self._channel_knobs = len(shared) - 1, slice(len(shared), None)
         self._all_knobs = (*shared, *knobs_of_channels(names))
-        self.knobs = choose_knobs(self.options.actions, sensor.groups, mixture, names)
+        self.knobs = choose_knobs(
+            options.actions, sensor.groups, options.mixture, names, options.most_fading
+        )
         self.knob_place = np.array([self._all_knobs.index(knob) for knob in self.knobs])
         self._log_low = np.log([knob.low for knob in self.knobs])
         self._log_high = np.log([knob.high for knob in self.knobs])

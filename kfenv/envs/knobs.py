@@ -36,21 +36,26 @@ class Knob:
 
 # Fading and process noise multiply covariances, measurement noise a standard deviation,
 # and the outlier weight the odds weight / (1 - weight) that a Gaussian sum gives an outlier.
-# The published rule asks for a fading of thousands where fixes are outliers (SPEC 6, E6).
-FADING = Knob("fading", 0.5, 1e4)
+# A learner explores up to `MOST_FADING`, and the published rules, which ask for thousands
+# where fixes are outliers (SPEC 6, E6), get `WIDEST_FADING`.
+FADING, LEAST_FADING, MOST_FADING, WIDEST_FADING = "fading", 0.5, 10.0, 1e4
 PROCESS_NOISE = Knob("process_noise", 1e-3, 1e4)
 NOISE_RANGE = (0.05, 500.0)
 OUTLIER_WEIGHT = Knob("outlier_weight", 1e-3, 1e3)
 
 
-def knobs_of(groups: Sequence[str], mixture: bool = False) -> tuple[Knob, ...]:
+def knobs_of(
+    groups: Sequence[str], mixture: bool = False, most_fading: float = MOST_FADING
+) -> tuple[Knob, ...]:
     """The knobs of a filter whose sensor has these channel groups, but for single channels'.
 
     Args:
         mixture: whether it is a Gaussian sum, whose outlier weight is the last knob.
+        most_fading: upper end of the fading knob.
     """
     noise = tuple(Knob(f"{group}_noise", *NOISE_RANGE) for group in groups)
-    return (FADING, PROCESS_NOISE, *noise, *((OUTLIER_WEIGHT,) if mixture else ()))
+    fading = Knob(FADING, LEAST_FADING, most_fading)
+    return (fading, PROCESS_NOISE, *noise, *((OUTLIER_WEIGHT,) if mixture else ()))
 
 
 def knobs_of_channels(channels: Sequence[str]) -> tuple[Knob, ...]:
@@ -63,19 +68,20 @@ def choose_knobs(
     groups: Sequence[str],
     mixture: bool = False,
     channels: Sequence[str] = (),
+    most_fading: float = MOST_FADING,
 ) -> tuple[Knob, ...]:
     """The knobs that an environment exposes, in the order of `knobs_of`, then of the channels.
 
     Args:
         names: knob names, ``"measurement_noise"`` standing for all groups and
             ``"channel_noise"`` for all channels; None for all of `knobs_of`.
-        groups, mixture: as in `knobs_of`.
+        groups, mixture, most_fading: as in `knobs_of`.
         channels: names of the channels.
 
     Raises:
         ValueError: for an unknown name, or if none is left.
     """
-    knobs = knobs_of(groups, mixture)
+    knobs = knobs_of(groups, mixture, most_fading)
     if names is None:
         return knobs
     if isinstance(names, str):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from kfenv.checks import is_number
+from kfenv.envs.knobs import MOST_FADING
 from kfenv.names import unknown
 from kfenv.scenarios.recording import Recording
 
@@ -24,6 +25,7 @@ class Options:
 
     reward: str = "rmse"
     actions: Sequence[str] | None = None
+    most_fading: float = MOST_FADING
     recording: Recording | None = None
     decision_interval: int | None = None  # that of the scenario's measurements
     filter: str = ENGINE
@@ -42,6 +44,10 @@ class Options:
         if self.actions is not None and not isinstance(self.actions, Sequence):
             raise ValueError(
                 f"actions must be a list of knob names, or None for all, got {self.actions!r}."
+            )
+        if not is_number(self.most_fading) or self.most_fading <= 1.0:
+            raise ValueError(
+                f"most_fading must be a number above 1, got {self.most_fading!r}."
             )
         if not isinstance(self.filter, str):
             raise ValueError(f"filter must be the name of a filter, got {self.filter!r}.")

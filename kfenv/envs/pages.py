@@ -26,6 +26,7 @@ from kfenv.envs.knobs import (
     MEASUREMENT_NOISE,
     OUTLIER_WEIGHT,
     PROCESS_NOISE,
+    WIDEST_FADING,
     Knob,
     knobs_of,
 )
@@ -140,7 +141,7 @@ def action_space(scenario: Any) -> str:
 
 def _knob_row(knob: Knob) -> tuple[str, str, str]:
     meaning = {
-        FADING.name: "multiplies the propagated covariance, before its noise",
+        FADING: "multiplies the propagated covariance, before its noise",
         PROCESS_NOISE.name: "multiplies the covariance of the process noise",
     }.get(knob.name, f"multiplies the standard deviation of the {knob.name.replace('_', ' ')}")
     return knob.name, _range(knob), meaning
@@ -340,6 +341,8 @@ def options(scenario: Any) -> str:
         - ``actions``: names of the knobs to expose, from the table above;
           ``"{MEASUREMENT_NOISE}"`` stands for the {len(scenario.sensor.groups)} noise knobs there,
           ``"{CHANNEL_NOISE}"`` for one on each channel. Default all of the table.
+        - ``most_fading``: upper end of the fading knob, above 1 (default {Options.most_fading:g},
+          which a learner can explore; published rules ask for more and get {WIDEST_FADING:g}).
         - ``recording``: {_recording(scenario)}
         - ``decision_interval``: filter steps for which an action holds, 1 or more (default
           {scenario.steps_per_measurement}{one}).
