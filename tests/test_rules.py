@@ -11,7 +11,7 @@ from kfenv.agents.contestants.registry import make_agent
 from kfenv.agents.contestants.rules.hidden_markov import HOPS, grid, hear, prior
 from scipy.stats import norm
 
-from kfenv.envs.knobs import knobs_of
+from kfenv.envs.knobs import WIDEST_FADING, knobs_of
 from kfenv.models.radar import radar
 from kfenv.scenarios.gnss.tracking import GnssTracking
 from kfenv.scenarios.inertial.ins_gnss import InsGnss
@@ -19,7 +19,7 @@ from kfenv.scenarios.radar.bistatic import BistaticTracking
 from kfenv.scenarios.radar.tracking import RadarTracking
 from kfenv.scenarios.radar.validation import RadarValidation
 
-KNOBS = knobs_of(radar().groups)
+KNOBS = knobs_of(radar().groups, most_fading=WIDEST_FADING)  # as rules get them
 SCENARIO = RadarTracking(rate=2.0, faults="none")
 STEP = 0.5  # s
 
