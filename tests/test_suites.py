@@ -15,7 +15,7 @@ from kfenv.agents.contest import suites
 from kfenv.agents.contest.recording_hash import recording_hash
 from kfenv.agents.contest.rollout import draw_episodes, scenario_and_options
 from kfenv.agents.contest.scores import read_values
-from kfenv.agents.contest.suite_run import SuiteRun, hash_of, run_suite, track_cases
+from kfenv.agents.contest.suite_run import SuiteRun, hash_of, run_suite, suitable, track_cases
 from kfenv.agents.contest.suites import IN_DISTRIBUTION, SUITES, Case, Suite
 from typer.testing import CliRunner
 
@@ -162,3 +162,9 @@ def kfenv_command(*arguments, code=0):
     result = CliRunner().invoke(app, [str(argument) for argument in arguments])
     assert result.exit_code == code, result.output
     return result
+
+
+def test_who_does_not_suit_a_suite_is_left_out_unasked():
+    radar, gnss = (suitable(SUITES[name]) for name in ("radar-2hz", "gnss"))
+    assert "raim" in gnss and "raim" not in radar
+    assert {"imm-rq", "hmm-noise", "okf", "clairvoyant-rq"} <= set(radar)

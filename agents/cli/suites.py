@@ -36,7 +36,9 @@ def suite(
     output: Annotated[Path, typer.Option(help="New folder for results.")],
     agent: Annotated[
         list[str] | None,
-        typer.Option(help="As of `kfenv evaluate`; repeat. Default: all but the fixed family."),
+        typer.Option(
+            help="As of `kfenv evaluate`; repeat. Default: all that suit it but the fixed family."
+        ),
     ] = None,
     case: Annotated[
         list[str] | None, typer.Option(help="Only this case, and the one in distribution; repeat.")
@@ -60,12 +62,12 @@ def suite(
     """
     import kfenv  # noqa: F401  (registers the environments)
 
-    from ..contest.suite_run import SuiteRun, run_suite
-    from ..contestants.registry import AGENTS, FILTERS
+    from ..contest.suite_run import SuiteRun, run_suite, suitable
+    from ..contest.suites import find_suite
 
     with complaints():
         run = SuiteRun(
-            name, tuple(agent or (*AGENTS, *FILTERS)), tuple(case) if case else None, episodes,
+            name, tuple(agent) if agent else suitable(find_suite(name)), tuple(case) if case else None, episodes,
             tuple(tracks or ()), against,
         )  # fmt: skip
         with progress() as bar:

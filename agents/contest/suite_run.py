@@ -14,7 +14,7 @@ import numpy as np
 
 from kfenv.names import unknown
 
-from ..contestants.registry import make_agent
+from ..contestants.registry import AGENTS, FILTERS, make_agent
 from ..files import write_json
 from .evaluation import Contest, evaluate
 from .recording_hash import recording_hash
@@ -123,6 +123,21 @@ def hash_of(suite: Suite) -> str:
 
 def _first(suite: Suite, kwargs: Mapping[str, Any], split: str) -> Any:
     return draw_episodes(suite.env_id, dict(suite.kwargs) | dict(kwargs), split, suite.seed, HASHED)
+
+
+def suitable(suite: Suite) -> tuple[str, ...]:
+    """All agents and banks that have nothing to complain of in a suite's environment."""
+    scenario, options = scenario_and_options(suite.env_id, dict(suite.kwargs))
+    episode = draw_episodes(suite.env_id, dict(suite.kwargs), "test", suite.seed, 1)
+
+    def suits(name: str) -> bool:
+        try:
+            make_agent(name).check(scenario, options, episode)
+        except ValueError:
+            return False
+        return True
+
+    return tuple(name for name in (*AGENTS, *FILTERS) if suits(name))
 
 
 def track_cases(suite: Suite, tracks: Sequence[Path]) -> dict[str, Case]:
