@@ -66,10 +66,9 @@ def suite(
     from ..contest.suites import find_suite
 
     with complaints():
-        run = SuiteRun(
-            name, tuple(agent) if agent else suitable(find_suite(name)), tuple(case) if case else None, episodes,
-            tuple(tracks or ()), against,
-        )  # fmt: skip
+        agents = tuple(agent) if agent else suitable(find_suite(name))
+        cases = tuple(case) if case else None
+        run = SuiteRun(name, agents, cases, episodes, tuple(tracks or ()), against)
         with progress() as bar:
             task = bar.add_task("agents", total=None)
             results = run_suite(
