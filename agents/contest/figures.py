@@ -88,7 +88,8 @@ def _episode(contest: Contest, results: Sequence[dict[str, Any]], output: Path) 
     figure = Figure((9.0, 6.0), layout="constrained")
     top, bottom = figure.subplots(2, sharex=True, height_ratios=(3, 2))
     scenario, _ = scenario_and_options(contest.env_id, contest.env_kwargs)
-    noise = slice(2, 2 + len(scenario.sensor.groups))
+    groups, channels = len(scenario.sensor.groups), len(scenario.sensor.channels)
+    noise = slice(2, 2 + groups), slice(-channels, None)
     for result in _shown(results):
         agent = make_agent(result["given_as"])
         agent = agent.with_values(read_values(output, result["given_as"]))
@@ -96,10 +97,11 @@ def _episode(contest: Contest, results: Sequence[dict[str, Any]], output: Path) 
         time = scores.time
         style = {"color": _colour(result, results), "lw": 1.3, "label": result["agent"]}
         top.plot(time, scores.error[:, 0], **style)
-        bottom.plot(time, np.exp(np.log(scores.factors[:, 0, noise]).mean(axis=1)), **style)
+        means = [np.log(scores.factors[:, 0, part]).mean(axis=1) for part in noise]
+        bottom.plot(time, np.exp(sum(means)), **style)
     shade(top, recording.faults[0])
     shade(bottom, recording.faults[0], labelled=False)
-    for axes, label in ((top, "position error, m"), (bottom, "noise factor\n(mean of groups)")):
+    for axes, label in ((top, "position error, m"), (bottom, "noise factor\n(mean of all)")):
         axes.set_yscale("log")
         axes.set_ylabel(label)
         clean(axes)
