@@ -76,8 +76,8 @@ class SatelliteGate(SatelliteRule):
     """
 
     parameters = (
-        Parameter("window", 1.0, 60.0, 10.0),
-        Parameter("gate", 1.5, 20.0, 4.0),
+        Parameter("window", 1.0, 60.0, 5.0),
+        Parameter("gate", 1.5, 20.0, 3.0),
         Parameter("noise_window", 1.0, 60.0, 3.0),
         PROCESS_NOISE,
     )

@@ -51,8 +51,12 @@ class SatelliteHmm(SatelliteRule, HmmNoise):
     """
 
     parameters = (
-        *HmmNoise.parameters,
-        Parameter("fault_rate", 1e-6, 1e-1, 1e-3),  # of a satellite, 1/s
+        Parameter("up", 0.002, 0.5, 0.01),
+        Parameter("down", 0.001, 0.5, 0.2),
+        Parameter("glint_share", 0.005, 0.5, 0.08),
+        Parameter("leak", 1e-6, 1e-2, 1e-4),
+        Parameter("process_noise", 0.05, 200.0, 2.3),
+        Parameter("fault_rate", 1e-6, 1e-1, 4e-4),  # of a satellite, 1/s
     )
 
     def reset(self, briefing: Briefing) -> None:
