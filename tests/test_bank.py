@@ -239,5 +239,5 @@ def test_a_bank_needs_the_compiled_filter():
     from kfenv.agents.contest.rollout import scenario_and_options
 
     scenario, options = scenario_and_options(ENV, {"filter": "srukf-joseph"})
-    with pytest.raises(ValueError, match="imm is a bank of the compiled filter"):
+    with pytest.raises(ValueError, match="imm works with the compiled filter"):
         make_agent("imm").check(scenario, options, None)

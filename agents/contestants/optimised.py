@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from kfenv.envs.knobs import Knob
-from kfenv.envs.options import ENGINE, Options
+from kfenv.envs.options import Options
 from kfenv.filters.engine import Engine
 from kfenv.filters.protocol import Knobs, measured
 from kfenv.filters.results import OK, History, Prediction
@@ -17,12 +17,13 @@ from kfenv.models.namespaces import batch
 from kfenv.scenarios.recording import Recording
 from kfenv.scenarios.scenario import TrackingScenario
 
-from .agent import Array, Parameter, RecordingFilter
+from .agent import Array, Parameter
+from .compiled import CompiledFilter
 
 DIAGONAL, COUPLING, NOISE = (0.03, 300.0), (np.exp(-2.0), np.exp(2.0)), (0.1, 50.0)
 
 
-class Okf(RecordingFilter):
+class Okf(CompiledFilter):
     """The Optimized Kalman Filter of Greenberg et al. (2023): Q and R by their Cholesky factors.
 
     The factor of Q is (diagonal, then couplings of each pair of states) times the model's own
@@ -43,18 +44,6 @@ class Okf(RecordingFilter):
             ),
             *(Parameter(f"r {c.name}", *NOISE, 1.0) for c in scenario.sensor.channels),
         )
-
-    def check(self, scenario: Any, options: Options, recording: Recording) -> None:
-        """See `RecordingFilter.check`.
-
-        Raises:
-            ValueError: if the environment works with another filter than the compiled one.
-        """
-        if options.filter != ENGINE:
-            raise ValueError(
-                f"{self.name} works with the compiled filter {ENGINE!r}, and this environment "
-                f"with filter={options.filter!r}: leave out one of them."
-            )
 
     def filter(self, scenario: Any, options: Options, recording: Recording) -> History:
         """See `RecordingFilter.filter`."""

@@ -7,31 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from kfenv.envs.options import ENGINE, Options
+from kfenv.envs.options import Options
 from kfenv.filters.bank import Bank
 from kfenv.filters.engine import Engine
 from kfenv.filters.gaussian_sum import Mixture
 from kfenv.filters.results import History
 from kfenv.scenarios.recording import Recording
 
-from ..agent import Array, RecordingFilter
+from ..agent import Array
+from ..compiled import CompiledFilter
 from ..fault_model import FaultModel, factors
 
 
-class BankContestant(RecordingFilter):
+class BankContestant(CompiledFilter):
     """A bank over the environment's compiled filter, drawn anew for each recording."""
-
-    def check(self, scenario: Any, options: Options, recording: Recording) -> None:
-        """See `RecordingFilter.check`.
-
-        Raises:
-            ValueError: if the environment works with another filter than the compiled one.
-        """
-        if options.filter != ENGINE:
-            raise ValueError(
-                f"{self.name} is a bank of the compiled filter {ENGINE!r}, and this environment "
-                f"works with filter={options.filter!r}: leave out one of them."
-            )
 
     def filter(self, scenario: Any, options: Options, recording: Recording) -> History:
         """See `RecordingFilter.filter`."""

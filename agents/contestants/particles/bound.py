@@ -18,7 +18,8 @@ from kfenv.filters.transforms import StateFunction, angle_indices, wrap
 from kfenv.models.namespaces import batch, dual
 from kfenv.scenarios.recording import Recording
 
-from ..agent import Array, RecordingFilter
+from ..agent import Array
+from ..compiled import CompiledFilter
 from .hypotheses import Situation, choose
 from .priors import NoisePriors
 
@@ -28,7 +29,7 @@ SPREAD = 0.1  # of Liu and West's kernel for what stays for the episode
 ROWS = 32_768  # particles of all episodes that are held at once
 
 
-class ParticleBound(RecordingFilter):
+class ParticleBound(CompiledFilter):
     """What a filter that knows how the faults are drawn can reach, but for its Monte Carlo error.
 
     Rao-Blackwellised (Doucet et al. 2000): a particle is a history of bursts, glints,
@@ -50,11 +51,12 @@ class ParticleBound(RecordingFilter):
         return self
 
     def check(self, scenario: Any, options: Options, recording: Recording) -> None:
-        """See `RecordingFilter.check`.
+        """See `CompiledFilter.check`.
 
         Raises:
             ValueError: if the scenario's faults are none that `NoisePriors` knows.
         """
+        super().check(scenario, options, recording)
         NoisePriors.of(scenario, recording)
 
     def filter(self, scenario: Any, options: Options, recording: Recording) -> History:

@@ -1,0 +1,26 @@
+"""What the contestants share that run the environments' compiled filter in a way of their own."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kfenv.envs.options import ENGINE, Options
+from kfenv.scenarios.recording import Recording
+
+from .agent import RecordingFilter
+
+
+class CompiledFilter(RecordingFilter):
+    """Base of those for whom no other filter than the compiled one can stand in."""
+
+    def check(self, scenario: Any, options: Options, recording: Recording) -> None:
+        """See `Contestant.check`.
+
+        Raises:
+            ValueError: if the environment works with another filter than the compiled one.
+        """
+        if options.filter != ENGINE:
+            raise ValueError(
+                f"{self.name} works with the compiled filter {ENGINE!r}, and this environment "
+                f"with filter={options.filter!r}: leave out one of them."
+            )
