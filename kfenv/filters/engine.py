@@ -191,7 +191,10 @@ def _kernel(motion: Motion, sensor: Sensor, kappa: float) -> ModuleType:
     parts = [Path(part) for part in (compiled.__file__, lanes.__file__, CYCLE)]
     arithmetic = [part.read_text() for part in parts]
     identity = fingerprint(motion.build, sensor.build, sorted(constants.items()), arithmetic)
-    module = ModuleType(f"{__package__}.kernel_{identity}")
+    name = f"{__package__}.kernel_{identity}"
+    if name in sys.modules:  # made for models that do the same
+        return sys.modules[name]
+    module = ModuleType(name)
     module.__file__ = str(KERNEL)
     functions = motion.build(compiled)
     module.__dict__.update(
@@ -202,7 +205,7 @@ def _kernel(motion: Motion, sensor: Sensor, kappa: float) -> ModuleType:
         entry_point=partial(_entry_point, identity=identity),
         **_accessors(n, m, len(motion.inputs), len(sensor.inputs)),
     )
-    sys.modules[module.__name__] = module  # where the cache looks for the functions it restores
+    sys.modules[name] = module  # where the cache looks for the functions it restores
     for template in (CYCLE, KERNEL):
         exec(compile(template.read_text(), str(template), "exec"), module.__dict__)
     return module
