@@ -46,9 +46,7 @@ class Options:
                 f"actions must be a list of knob names, or None for all, got {self.actions!r}."
             )
         if not is_number(self.most_fading) or self.most_fading <= 1.0:
-            raise ValueError(
-                f"most_fading must be a number above 1, got {self.most_fading!r}."
-            )
+            raise ValueError(f"most_fading must be a number above 1, got {self.most_fading!r}.")
         if not isinstance(self.filter, str):
             raise ValueError(f"filter must be the name of a filter, got {self.filter!r}.")
         if not is_number(self.kappa):
