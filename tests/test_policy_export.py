@@ -6,7 +6,8 @@ import sys
 import gymnasium as gym
 import numpy as np
 import pytest
-from kfenv.agents.contestants.policy import NumpyPolicy, export_policy
+from kfenv.agents.contestants.policy import NumpyPolicy
+from kfenv.agents.learning.export import export_policy
 
 ABOUT = {"env_id": "Uneven-v0", "env_kwargs": {"rate": 2}, "note": "a test"}
 
@@ -59,7 +60,7 @@ def test_exported_policy_equals_torch(algorithm, activation, tmp_path):
 
 def test_exported_policy_says_what_it_is(policy_file):
     policy = NumpyPolicy.load(policy_file)
-    assert (policy.algorithm, policy.activation) == ("ppo", "tanh")
+    assert (policy.network.algorithm, policy.network.activation) == ("ppo", "tanh")
     assert (policy.observation_size, policy.action_size) == (7, 3)
     assert (policy.env_id, policy.env_kwargs) == ("Uneven-v0", {"rate": 2})
     assert policy.metadata == {"note": "a test"}
@@ -139,7 +140,12 @@ def test_foreign_files_are_refused(tmp_path):
         {"bias_1": np.zeros(3)},
         {"weight_0": np.full((7, 16), np.nan)},
         {"low": np.zeros(4)},
-        {"metadata": "{"},
+        {"low": np.full(3, np.nan)},
+        {"low": np.float32([2, 5, 1])},
+        {"layers": np.inf},
+        {"layers": 1e12},
+        {"about": "{"},
+        {"about": "[" * 100_000},
     ],
 )
 def test_inconsistent_contents_are_refused(policy_file, change):

@@ -242,7 +242,7 @@ def _digests(contest: Contest) -> dict[str, str]:
     for agent in agents:
         if isinstance(agent, Learned):
             digest = hashlib.sha256()
-            for array in (*agent.policy.weights, *agent.policy.biases):
+            for array in agent.policy.network.parameters:
                 digest.update(array.tobytes())
             digests[agent.name] = digest.hexdigest()
     return digests

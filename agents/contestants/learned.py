@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import load_env_creator
 from numpy.typing import NDArray
 
-from kfenv.envs.knobs import MOST_FADING
+from kfenv.envs.core import Core
+from kfenv.envs.knobs import MOST_FADING, Knob
+from kfenv.envs.options import Options
+from kfenv.scenarios.recording import Recording
 
-from .agent import Agent, Array
+from .agent import Agent, Array, Briefing
 from .policy import NumpyPolicy
 
 # What a policy was trained with and must be evaluated with, and its default.
 OWN_OPTIONS = {"actions": None, "decision_interval": None, "most_fading": MOST_FADING}
+LAYOUT = "observation"  # another such option, where the policy names it
 
 
 class Learned(Agent):
@@ -38,11 +45,59 @@ class Learned(Agent):
     def own_options(self) -> dict[str, Any]:
         """Those that the policy was trained with."""
         kwargs = self.policy.env_kwargs
-        return {name: kwargs.get(name, default) for name, default in OWN_OPTIONS.items()}
+        own = {name: kwargs.get(name, default) for name, default in OWN_OPTIONS.items()}
+        return own | ({LAYOUT: kwargs[LAYOUT]} if LAYOUT in kwargs else {})
 
     def with_values(self, values: Mapping[str, float]) -> Learned:
         """Itself: a policy has no parameters."""
         return self
 
+    def check(self, scenario: Any, options: Options, recording: Recording) -> None:
+        """See `Contestant.check`.
+
+        Raises:
+            ValueError: if the policy was trained on an environment of another kind, or of
+                another observation or other knobs.
+        """
+        if _scenario_class(self.policy.env_id) is not type(scenario):
+            raise self._refusal(f"this is {scenario.name}")
+        try:
+            options = replace(options, recording=None, **self.own_options)
+            core = Core(scenario, options, 1, recording.time, has_truth=False)
+        except (TypeError, ValueError) as error:
+            raise self._refusal(f"its options are refused: {error}") from None
+        policy, knobs = self.policy, _in_words(core.knobs)
+        self._compare("observation", policy.features, policy.observation_size, core.feature_names())
+        self._compare("knobs", _in_words(policy.knobs), policy.action_size, knobs)
+
+    def _compare(self, what: str, trained: Sequence[str], size: int, met: Sequence[str]) -> None:
+        """Complain of the first difference; an old file tells no more than the size."""
+        if size != len(met):
+            raise self._refusal(f"its {what} had {size} numbers and would have {len(met)} here")
+        for one, other in zip(trained, met, strict=False):
+            if one != other:
+                raise self._refusal(f"its {what} had {one!r} where there is {other!r} here")
+
+    def _refusal(self, why: str) -> ValueError:
+        return ValueError(f"The policy {self.name} was trained on {self.policy.env_id}, and {why}.")
+
+    def reset(self, briefing: Briefing) -> None:
+        """Forget the last briefing, and what its episodes left in memory."""
+        super().reset(briefing)
+        self._memory = self.policy.start(briefing.batch)
+
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
-        return self.policy.predict(observation).astype(np.float64)
+        actions, self._memory = self.policy.decide(observation, self._memory)
+        return actions.astype(np.float64)
+
+
+def _scenario_class(env_id: str) -> type | None:
+    """Of an environment's id, which may begin with a module; None if it has none here."""
+    spec = gym.registry.get(env_id.rpartition(":")[2])
+    if spec is None or spec.entry_point is None:
+        return None
+    return getattr(load_env_creator(spec.entry_point), "scenario_class", None)
+
+
+def _in_words(knobs: Sequence[Knob]) -> tuple[str, ...]:
+    return tuple(f"{knob.name} from {knob.low:g} to {knob.high:g}" for knob in knobs)

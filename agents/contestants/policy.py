@@ -3,55 +3,91 @@
 from __future__ import annotations
 
 import json
-import zipfile
-import zlib
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..files import written_whole
+from kfenv.checks import is_number
+from kfenv.envs.knobs import Knob
 
-FORMAT = "kfenv-policy-1"
-ACTIVATIONS = {"tanh": np.tanh, "relu": lambda x: np.maximum(x, 0.0)}
-ALGORITHMS = ("ppo", "sac")
+from .networks import KINDS, ActionNetwork, Array, Network
+from .policy_file import read_arrays, write_arrays
 
-Array = NDArray[np.float32]
+FORMER_FORMAT = "kfenv-policy-1"  # a network of kind "mlp", without features and knobs
+FORMAT = "kfenv-policy-2"
 
 
 @dataclass(frozen=True)
 class NumpyPolicy:
-    """A multilayer perceptron from observations to actions, without a learning library.
+    """A network from observations to actions, and what it was trained on.
 
-    PPO's mean action is clipped to the action space; SAC's goes through tanh and is then scaled to
-    it. `load` reads the file that `export_policy` writes.
+    Attributes:
+        network: see `networks`.
+        env_id, env_kwargs: the environment that it was trained on, and its keywords.
+        features: what each component of its observation is; empty where nobody told.
+        knobs: those that its actions set; empty where nobody told.
+        metadata: what else was told.
     """
 
-    algorithm: str
-    activation: str
-    weights: tuple[Array, ...]  # (inputs, outputs) of each layer
-    biases: tuple[Array, ...]
-    low: Array  # (a,) bounds of the action space
-    high: Array
+    network: Network
     env_id: str
     env_kwargs: dict[str, Any]
+    features: tuple[str, ...]
+    knobs: tuple[Knob, ...]
     metadata: dict[str, Any]
+
+    def __post_init__(self) -> None:
+        """Raise ValueError unless the parts fit each other."""
+        for what, told, size in (
+            ("features", [*self.features], self.observation_size),
+            ("knobs", [knob.name for knob in self.knobs], self.action_size),
+        ):
+            if told and len(told) != size:
+                raise ValueError(f"it names {len(told)} {what}, and its network has {size}")
+            if not all(isinstance(name, str) for name in told) or len(set(told)) < len(told):
+                raise ValueError(f"the names of its {what} are not different words")
+        for knob in self.knobs:
+            if not (is_number(knob.low) and is_number(knob.high) and 0 < knob.low < 1 < knob.high):
+                raise ValueError(f"the knob {knob.name} goes from {knob.low} to {knob.high}")
+        for what in ("env_kwargs", "metadata"):
+            if not isinstance(getattr(self, what), dict):
+                raise ValueError(f"its {what} are no table of names and values")
+        if not isinstance(self.env_id, str):
+            raise ValueError("its env_id is not text")
 
     @property
     def observation_size(self) -> int:
         """Length of one observation."""
-        return self.weights[0].shape[0]
+        return self.network.observation_size
 
     @property
     def action_size(self) -> int:
         """Length of one action."""
-        return self.weights[-1].shape[1]
+        return self.network.action_size
 
-    def predict(self, observations: ArrayLike) -> Array:
-        """Return the deterministic actions (..., a) for observations (..., o)."""
+    def start(self, batch: int) -> Array:
+        """The memory (B, H) of episodes that begin; (B, 0) for a policy without any."""
+        return np.zeros((batch, self.network.memory_size), np.float32)
+
+    def forget(self, state: Array, mask: NDArray[np.bool_]) -> Array:
+        """The memory with the episodes of the mask (B,) begun anew, changed in place."""
+        state[mask] = 0.0
+        return state
+
+    def decide(self, observations: ArrayLike, state: Array) -> tuple[Array, Array]:
+        """Return the deterministic actions and the next memory.
+
+        Args:
+            observations: (B, D), or (D,) for a single environment.
+            state: (B, H) from `start` or the last decision; left as it is.
+
+        Raises:
+            ValueError: for observations of another length than the policy was trained on.
+        """
         x = np.asarray(observations, dtype=np.float32)
         if x.shape[-1:] != (self.observation_size,):
             raise ValueError(
@@ -59,132 +95,75 @@ class NumpyPolicy:
                 f"the shape {x.shape}: evaluate it on the environment it was trained on "
                 f"({self.env_id})"
             )
-        hidden_layer = ACTIVATIONS[self.activation]
-        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
-            x = hidden_layer(x @ weight + bias)
-        x = x @ self.weights[-1] + self.biases[-1]
-        if self.algorithm == "sac":
-            return self.low + 0.5 * (np.tanh(x) + 1.0) * (self.high - self.low)
-        return np.clip(x, self.low, self.high)
+        if x.ndim > 1:
+            return self.network.decide(x, state)
+        actions, state = self.network.decide(x[None], state)
+        return actions[0], state
+
+    def predict(self, observations: ArrayLike) -> Array:
+        """Return the deterministic actions (..., K) for observations (..., D).
+
+        Raises:
+            ValueError: if the policy has a memory.
+        """
+        if self.network.memory_size:
+            raise ValueError("the policy has a memory: use start and decide")
+        x = np.asarray(observations, dtype=np.float32)
+        return self.decide(x, self.start(x.shape[0] if x.ndim > 1 else 1))[0]
 
     @classmethod
     def load(cls, path: str | Path) -> NumpyPolicy:
         """Read a policy file; raise ValueError if it is foreign, damaged or inconsistent."""
         try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
-            policy = cls._from_arrays(arrays)
+            return cls.from_arrays(read_arrays(Path(path)))
         except FileNotFoundError:
             raise FileNotFoundError(f"no policy file {path}: check the path") from None
-        except (
-            OSError,
-            ValueError,
-            TypeError,
-            LookupError,
-            AttributeError,
-            EOFError,
-            NotImplementedError,
-            zipfile.BadZipFile,
-            zlib.error,
-        ) as error:
+        except Exception as error:  # a damaged archive can fail in any of its readers
             raise ValueError(
                 f"{path} is not a policy of kfenv or is damaged ({_first_line(error)}): "
                 "give the policy.npz that `kfenv train` wrote"
             ) from error
-        return policy
 
     @classmethod
-    def _from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> NumpyPolicy:
-        """Build the policy from the arrays of its file, and check that they belong together."""
-        if str(arrays["format"]) != FORMAT:
-            raise ValueError(f"its format is {arrays['format']}, not {FORMAT}")
-        layers = range(int(arrays["layers"]))
-        policy = cls(
-            algorithm=str(arrays["algorithm"]),
-            activation=str(arrays["activation"]),
-            weights=tuple(arrays[f"weight_{i}"] for i in layers),
-            biases=tuple(arrays[f"bias_{i}"] for i in layers),
-            low=arrays["low"],
-            high=arrays["high"],
-            env_id=str(arrays["env_id"]),
-            env_kwargs=json.loads(str(arrays["env_kwargs"])),
-            metadata=json.loads(str(arrays["metadata"])),
-        )
-        _check(policy)
-        return policy
+    def from_arrays(cls, arrays: Mapping[str, Any]) -> NumpyPolicy:
+        """Build the policy from the arrays of its file; raise unless they belong together."""
+        form = str(arrays["format"])
+        if form == FORMER_FORMAT:
+            about = {name: json.loads(str(arrays[name])) for name in ("env_kwargs", "metadata")}
+            about |= {"env_id": str(arrays["env_id"]), "features": [], "knobs": []}
+            kind: type[Network] = ActionNetwork
+        elif form == FORMAT:
+            about = json.loads(str(arrays["about"]))
+            kind = KINDS[str(arrays["kind"])]
+        else:
+            raise ValueError(f"its format is {form}, not {FORMAT}")
+        knobs = tuple(Knob(*knob) for knob in about.pop("knobs"))
+        features = tuple(about.pop("features"))
+        network = kind.from_arrays(arrays, knobs)
+        return cls(network, knobs=knobs, features=features, **about)
 
 
-def export_policy(model: Any, path: str | Path, metadata: Mapping[str, Any]) -> Path:
-    """Write the actor of a stable-baselines3 PPO or SAC `model` as plain arrays to `path`.
+def write_policy(
+    path: str | Path, network: Mapping[str, NDArray[Any]], about: Mapping[str, Any]
+) -> Path:
+    """Write a policy file, which `NumpyPolicy.load` reads, and return its path.
 
-    `metadata` must hold `env_id` and `env_kwargs`; whatever else it holds is kept. All of it must
-    be plain JSON. The same policy gives the same bytes.
+    Args:
+        path: of the file.
+        network: its ``kind`` and its arrays, named as in `networks`.
+        about: ``env_id``, ``env_kwargs`` and, if known, ``features`` (names), ``knobs`` (each
+            with name, low and high) and ``metadata``, all of it plain JSON. The same policy gives
+            the same bytes.
+
+    Raises:
+        ValueError, KeyError, TypeError: if they do not make a policy; no file is written.
     """
-    path = Path(path)
-    algorithm, layers = type(model).__name__.lower(), _actor_layers(model)
-    linear = [layer for layer in layers if hasattr(layer, "weight")]
-    rest = {key: value for key, value in metadata.items() if key not in ("env_id", "env_kwargs")}
-    arrays: dict[str, Any] = {
-        "format": FORMAT,
-        "algorithm": algorithm,
-        "activation": _activation([layer for layer in layers if not hasattr(layer, "weight")]),
-        "layers": len(linear),
-        "observation_size": linear[0].weight.shape[1],
-        "action_size": linear[-1].weight.shape[0],
-        "low": model.action_space.low,
-        "high": model.action_space.high,
-        "env_id": metadata["env_id"],
-        "env_kwargs": json.dumps(metadata["env_kwargs"]),
-        "metadata": json.dumps(rest),
-    }
-    for i, layer in enumerate(linear):
-        arrays[f"weight_{i}"] = layer.weight.detach().cpu().numpy().T
-        arrays[f"bias_{i}"] = layer.bias.detach().cpu().numpy()
-    with written_whole(path) as file:
-        np.savez(file, **arrays)
-    return path
-
-
-def _actor_layers(model: Any) -> list[Any]:
-    """Return the layers from observation to mean action, in order."""
-    algorithm = type(model).__name__.lower()
-    if algorithm not in ALGORITHMS or model.use_sde:
-        raise ValueError(
-            f"cannot export a {type(model).__name__} model: only PPO and SAC with an MlpPolicy and "
-            "without state-dependent exploration have a plain form"
-        )
-    if algorithm == "ppo":
-        return [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
-    return [*model.policy.actor.latent_pi, model.policy.actor.mu]
-
-
-def _activation(layers: Iterable[Any]) -> str:
-    """Return the one activation that all hidden layers share."""
-    names = {type(layer).__name__.lower() for layer in layers} or {"tanh"}
-    if len(names) > 1 or not names <= ACTIVATIONS.keys():
-        raise ValueError(
-            f"cannot export the activations {sorted(names)}: use one of {sorted(ACTIVATIONS)}"
-        )
-    return names.pop()
-
-
-def _check(policy: NumpyPolicy) -> None:
-    """Raise ValueError unless the parts of a policy fit each other."""
-    if policy.algorithm not in ALGORITHMS or policy.activation not in ACTIVATIONS:
-        raise ValueError(
-            f"unknown algorithm or activation: {policy.algorithm}, {policy.activation}"
-        )
-    if not policy.weights:
-        raise ValueError("it has no layers")
-    inputs = policy.weights[0].shape[0]
-    for weight, bias in zip(policy.weights, policy.biases, strict=True):
-        if weight.shape != (inputs, bias.size) or bias.ndim != 1:
-            raise ValueError(f"a layer of shape {weight.shape} follows {inputs} numbers")
-        if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
-            raise ValueError("a weight is not finite")
-        inputs = bias.size
-    if policy.low.shape != (inputs,) or policy.high.shape != (inputs,):
-        raise ValueError(f"{inputs} actions, but bounds of shape {policy.low.shape}")
+    told = {"features": [], "knobs": [], "metadata": {}} | dict(about)
+    told["knobs"] = [astuple(k) if isinstance(k, Knob) else tuple(k) for k in told["knobs"]]
+    arrays = {"format": FORMAT, "about": json.dumps(told), **network}
+    NumpyPolicy.from_arrays(arrays)
+    write_arrays(Path(path), arrays)
+    return Path(path)
 
 
 def _first_line(error: Exception) -> str:

@@ -15,8 +15,8 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
-from ..contestants.policy import export_policy
 from ..files import write_json, written_whole
+from .export import export_policy, layout
 from .progress import TrainingProgress
 from .settings import Settings
 from .stable_baselines import VectorEnvAdapter
@@ -130,7 +130,8 @@ class Bookkeeper(BaseCallback):
                 self.model.save_replay_buffer(file)
         with written_whole(self.folder / "checkpoint.zip") as file:
             self.model.save(file)
-        about = {**self.config, "steps_done": steps, "finished": finished}
+        about = {**self.config, **layout(self.training_env.env)}
+        about |= {"steps_done": steps, "finished": finished}
         export_policy(self.model, self.folder / "policy.npz", about)
         record = {
             "finished": finished,

@@ -13,7 +13,7 @@ from typing import Any, get_type_hints
 from kfenv.envs.options import REWARDS
 from kfenv.names import unknown
 
-from ..contestants.policy import ACTIVATIONS
+from ..contestants.networks import ACTIVATIONS
 
 
 @dataclass(frozen=True)
