@@ -121,7 +121,7 @@ def _decide(
     times, errors, factors = [], [], []
     while running.any():
         seen = watch(core.observation) if agent.sees == "observation" else core.observation()
-        action = np.clip(watch(agent.act, seen, _without_truth(core)), -1.0, 1.0)
+        action = np.clip(watch(agent.act, seen, without_truth(core)), -1.0, 1.0)
         _, gone, ended = core.step(action, running)
         lost |= gone
         running &= ~(gone | ended)
@@ -219,7 +219,7 @@ def _told_nis(history: History, scenario: Any, recording: Recording) -> Array:
     return nis
 
 
-def _without_truth(core: Core) -> dict[str, Any]:
+def without_truth(core: Core) -> dict[str, Any]:
     """The info dictionary less what only a simulation knows."""
     info = core.information()
     for name in ("truth", "position_error", "nees"):

@@ -12,16 +12,8 @@ The output folder holds
 
 from __future__ import annotations
 
-import json
 import math
-import os
-import platform
-import signal
-import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import asdict
-from importlib import metadata
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -44,13 +36,10 @@ from ..contest.rollout import find_spec
 from ..files import write_json
 from .checkpoints import Bookkeeper, load_checkpoint
 from .progress import TrainingProgress
+from .runs import TrainingInterrupted, admit, ctrl_c_as_event, describe_run, torch_threads
 from .scaling import is_of_kfenv, reward_of, scaling_for
 from .settings import PPOSettings, SACSettings, Settings, read_settings
 from .stable_baselines import VectorEnvAdapter
-
-
-class TrainingInterrupted(KeyboardInterrupt):
-    """Ctrl-C in a training run; the checkpoint is saved, and the message says how to go on."""
 
 
 def train(
@@ -91,14 +80,14 @@ def train(
     env_kwargs = with_training_reward(env_id, env_kwargs or {})
     reward = reward_of(env_id, env_kwargs)
     settings = read_settings(algorithm, config_path, reward, **_given(num_envs=num_envs))
-    config = _config(env_id, env_kwargs, algorithm, settings, seed, steps)
+    config = describe_run(env_id, env_kwargs, algorithm, settings, seed) | {"steps": steps}
     folder = Path(output)
-    _admit(folder, config, resume)
+    admit(folder, config, resume)
     env = make_training_env(env_id, env_kwargs, settings)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_json(folder / "config.json", config)
-        with _torch_threads(settings.torch_threads):
+        with torch_threads(settings.torch_threads):
             _run(folder, config, settings, env, progress)
     finally:
         env.close()
@@ -149,92 +138,6 @@ def _check_counts(steps: int, seed: int) -> None:
 
 def _given(**values: Any) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
-
-
-@contextmanager
-def _torch_threads(number: int) -> Iterator[None]:
-    former = torch.get_num_threads()
-    torch.set_num_threads(number)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(former)
-
-
-# The output folder
-
-
-def _config(
-    env_id: str,
-    env_kwargs: Mapping[str, Any],
-    algorithm: str,
-    settings: Settings,
-    seed: int,
-    steps: int,
-) -> dict[str, Any]:
-    """All that is needed to repeat a run, as plain JSON."""
-    packages = ("kfenv", "numpy", "gymnasium", "stable_baselines3", "torch")
-    config = {
-        "env_id": env_id,
-        "env_kwargs": dict(env_kwargs),
-        "algorithm": algorithm,
-        "seed": seed,
-        "steps": steps,
-        "settings": asdict(settings),
-        "versions": {name: metadata.version(name) for name in packages},
-    }
-    config["versions"]["python"] = platform.python_version()
-    return json.loads(json.dumps(config, default=_as_json))
-
-
-def _as_json(value: Any) -> Any:
-    """Paths and arrays as plain values; other objects in their own words."""
-    if isinstance(value, os.PathLike):
-        return os.fspath(value)
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    return repr(value)
-
-
-def _admit(folder: Path, config: Mapping[str, Any], resume: bool) -> None:
-    """Raise unless the run may write into `folder`; touch nothing."""
-    if resume:
-        return _check_same_run(folder, config)
-    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-        raise FileExistsError(
-            f"{folder} exists and is not an empty folder: choose another output, or continue "
-            "the run in it with --resume (resume=True)"
-        )
-
-
-def _check_same_run(folder: Path, config: Mapping[str, Any]) -> None:
-    """Raise unless the run in `folder` was started with `config`, `steps` and versions apart."""
-    try:
-        former = _flat(json.loads((folder / "config.json").read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        raise FileNotFoundError(
-            f"{folder} holds no run to resume (no config.json): check the path, or start a new "
-            "run without --resume"
-        ) from None
-    except (ValueError, AttributeError):
-        raise ValueError(
-            f"{folder / 'config.json'} is damaged: start a new run in another folder"
-        ) from None
-    present = _flat(config)
-    for key in sorted(former.keys() | present.keys()):
-        if former.get(key) != present.get(key):
-            raise ValueError(
-                f"cannot resume {folder}: {key} was {former.get(key)!r} and is now "
-                f"{present.get(key)!r}; give the former value, or choose another output"
-            )
-
-
-def _flat(config: Mapping[str, Any]) -> dict[str, Any]:
-    """The entries that a resumed run must share, with one-level names."""
-    flat = {key: config.get(key) for key in ("env_id", "algorithm", "seed")}
-    for group in ("env_kwargs", "settings"):
-        flat |= {f"{group}.{key}": value for key, value in config.get(group, {}).items()}
-    return flat
 
 
 # The model
@@ -312,7 +215,7 @@ def _run(
     model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
     total = math.ceil(config["steps"] / settings.block) * settings.block
     with (
-        _ctrl_c_as_event() as stop,
+        ctrl_c_as_event() as stop,
         TrainingProgress(algorithm, total, model.num_timesteps, shown=progress) as bar,
     ):
         keeper = Bookkeeper(folder, config, settings, total, stop, bar)
@@ -329,23 +232,3 @@ def _run(
             f"stopped after {model.num_timesteps} of {total} steps; the checkpoint is in {folder}: "
             "give the same command with --resume (resume=True) to go on"
         )
-
-
-@contextmanager
-def _ctrl_c_as_event() -> Iterator[threading.Event]:
-    """Turn the first Ctrl-C into an event, so that no update is cut in two; the second one acts."""
-    stop = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield stop  # only the main thread may handle signals
-        return
-    former = signal.getsignal(signal.SIGINT)
-
-    def request_stop(*_: Any) -> None:
-        stop.set()
-        signal.signal(signal.SIGINT, former)
-
-    signal.signal(signal.SIGINT, request_stop)
-    try:
-        yield stop
-    finally:
-        signal.signal(signal.SIGINT, former)

@@ -87,6 +87,13 @@ STYLES = {
         turn_leg=(6.0, 25.0), turn_edge=(2.0, 5.0), climb_leg=(15.0, 40.0), climb_edge=(8.0, 12.0),
         turning=0.6, climbing=0.5, accelerating=0.6,
     ),
+    "gentle": Style(
+        speed=(45.0, 190.0), speed_change=20.0,
+        turn_rate=(0.0, radians(3.5)), climb=(0.0, 8.0),
+        turn_leg=(12.0, 60.0), turn_edge=(3.0, 9.0),
+        climb_leg=(20.0, 60.0), climb_edge=(8.0, 16.0),
+        turning=0.5, climbing=0.5, accelerating=0.5,
+    ),
     "smooth": Style(
         speed=(60.0, 230.0), speed_change=10.0,
         turn_rate=(0.0, radians(1.5)), climb=(0.0, 5.0),
@@ -165,8 +172,8 @@ def random_trajectory(rng: Generator, time: ArrayLike, flights: str = "manoeuvri
         rng: where the flight comes from; the same state gives the same bits.
         time: (T,) increasing, s. Flights of one duration do not depend on the sampling.
         flights: "manoeuvring" (turns of 2 to 10 deg/s, climbs of 2 to 12 m/s, 35 to
-            140 m/s) or "smooth" (long legs, turns of up to 1.5 deg/s, climbs of up to
-            5 m/s, 60 to 230 m/s), see `STYLES`.
+            140 m/s), "smooth" (long legs, turns of up to 1.5 deg/s, climbs of up to
+            5 m/s, 60 to 230 m/s), or "gentle" (in between), see `STYLES`.
 
     Returns:
         States (T, 9) in m, m/s, m/s^2.

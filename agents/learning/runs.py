@@ -1,0 +1,120 @@
+"""What all training runs share: their folder, their description, their interruption."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import signal
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+
+class TrainingInterrupted(KeyboardInterrupt):
+    """Ctrl-C in a training run; the checkpoint is saved, and the message says how to go on."""
+
+
+def describe_run(
+    env_id: str, env_kwargs: Mapping[str, Any], algorithm: str, settings: Any, seed: int
+) -> dict[str, Any]:
+    """All that is needed to repeat a run, but its length, as plain JSON."""
+    packages = ("kfenv", "numpy", "gymnasium", "stable_baselines3", "torch")
+    config = {
+        "env_id": env_id,
+        "env_kwargs": dict(env_kwargs),
+        "algorithm": algorithm,
+        "seed": seed,
+        "settings": asdict(settings),
+        "versions": {name: metadata.version(name) for name in packages},
+    }
+    config["versions"]["python"] = platform.python_version()
+    return json.loads(json.dumps(config, default=_as_json))
+
+
+def _as_json(value: Any) -> Any:
+    """Paths and arrays as plain values; other objects in their own words."""
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return repr(value)
+
+
+def admit(folder: Path, config: Mapping[str, Any], resume: bool) -> None:
+    """Raise unless the run may write into `folder`; touch nothing."""
+    if resume:
+        return _check_same_run(folder, config)
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise FileExistsError(
+            f"{folder} exists and is not an empty folder: choose another output, or continue "
+            "the run in it with --resume (resume=True)"
+        )
+
+
+def _check_same_run(folder: Path, config: Mapping[str, Any]) -> None:
+    """Raise unless the run in `folder` was started with `config`, its length and versions apart."""
+    try:
+        former = _flat(json.loads((folder / "config.json").read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        raise FileNotFoundError(
+            f"{folder} holds no run to resume (no config.json): check the path, or start a new "
+            "run without --resume"
+        ) from None
+    except (ValueError, AttributeError):
+        raise ValueError(
+            f"{folder / 'config.json'} is damaged: start a new run in another folder"
+        ) from None
+    present = _flat(config)
+    for key in sorted(former.keys() | present.keys()):
+        if former.get(key) != present.get(key):
+            raise ValueError(
+                f"cannot resume {folder}: {key} was {former.get(key)!r} and is now "
+                f"{present.get(key)!r}; give the former value, or choose another output"
+            )
+
+
+def _flat(config: Mapping[str, Any]) -> dict[str, Any]:
+    """The entries that a resumed run must share, with one-level names."""
+    flat = {key: config.get(key) for key in ("env_id", "algorithm", "seed")}
+    for group in ("env_kwargs", "settings", "curriculum"):
+        flat |= {f"{group}.{key}": value for key, value in config.get(group, {}).items()}
+    return flat
+
+
+@contextmanager
+def torch_threads(number: int) -> Iterator[None]:
+    """Let torch use so many processor cores."""
+    former = torch.get_num_threads()
+    torch.set_num_threads(number)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(former)
+
+
+@contextmanager
+def ctrl_c_as_event() -> Iterator[threading.Event]:
+    """Turn the first Ctrl-C into an event, so that no update is cut in two; the second one acts."""
+    stop = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stop  # only the main thread may handle signals
+        return
+    former = signal.getsignal(signal.SIGINT)
+
+    def request_stop(*_: Any) -> None:
+        stop.set()
+        signal.signal(signal.SIGINT, former)
+
+    signal.signal(signal.SIGINT, request_stop)
+    try:
+        yield stop
+    finally:
+        signal.signal(signal.SIGINT, former)
