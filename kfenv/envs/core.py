@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from kfenv.envs import rewards, statistics
 from kfenv.envs.channels import Channels
 from kfenv.envs.knobs import choose_knobs, knobs_of, knobs_of_channels
-from kfenv.envs.options import ENGINE, GAUSSIAN_SUMS, Options
+from kfenv.envs.memory import Memory
+from kfenv.envs.options import ENGINE, FULL, GAUSSIAN_SUMS, Options
 from kfenv.filters.engine import Engine
 from kfenv.filters.protocol import Filter, Knobs, Measurement
 from kfenv.filters.results import Prediction, Update
@@ -94,9 +95,12 @@ class Core:
         self._log_low = np.log([knob.low for knob in self.knobs])
         self._log_high = np.log([knob.high for knob in self.knobs])
         single = self.knob_place[self.knob_place >= len(shared)] - len(shared)
-        self._channels = None
+        self._channels = self._memory = None
         if len(single):
-            self._channels = Channels(self.scenario, single, self.batch, self.options.kappa)
+            self._channels = Channels(self.scenario, single, self.batch, options.kappa)
+        if options.observation == FULL:
+            held = self.interval * np.diff(self.time, prepend=2.0 * self.time[0] - self.time[1])
+            self._memory = Memory(self.scenario, single, held, self.batch)
 
     # ----- episodes -----------------------------------------------------------------
 
@@ -122,6 +126,8 @@ class Core:
         self._since[chosen] = 0.0
         if self._channels is not None:
             self._channels.restart(chosen)
+        if self._memory is not None:
+            self._memory.restart(chosen, recording.mean)
         self._action[chosen] = 0.0
         self.factors[chosen] = 1.0
         self.total_squared_error[chosen] = 0.0
@@ -262,6 +268,8 @@ class Core:
         )
         if self._channels is not None:
             self._channels.collect(self._pending, arrived, work == 0)
+        if self._memory is not None:
+            self._memory.collect(self._pending, arrived, dt, work == 0)
 
     def _score(self, active: Mask) -> None:
         if self.has_truth:
@@ -287,9 +295,16 @@ class Core:
             self._pending.factor, self._position, self._velocity, self.scenario.error_scale,
             self._group, self._statistics, self._since, self._pends, out,
         )  # fmt: skip
+        more = []
         if self._channels is not None:
+            more.append(self._channels.observe(self._pends))
+        if self._memory is not None:
+            more.append(self._memory.observe(
+                self._pending, self._gather("noise"), self._instant, self._pends
+            ))  # fmt: skip
+        if more:
             begin = len(self.scenario.sensor.groups) * statistics.PER_GROUP + statistics.COMMON
-            out[:, begin : -len(self.knobs)] = self._channels.observe(self._pends)
+            out[:, begin : -len(self.knobs)] = np.concatenate(more, axis=1)
         out[:, -len(self.knobs) :] = self._action
         out[self.status != 0] = 0.0
         return out.astype(np.float32)
@@ -325,20 +340,9 @@ class Core:
 
     def feature_names(self) -> tuple[str, ...]:
         """What each component of the observation is."""
-        names = []
-        for group in self.scenario.sensor.groups:
-            names.append(f"{group}: whitened innovation, signed log")
-            names.extend(
-                f"{group}: log RMS of whitened innovations, window {window:g}"
-                for window in statistics.WINDOWS
-            )
-            names.append(f"{group}: lag-1 correlation of whitened innovations")
-            names.append(f"{group}: share of channels that arrived")
-            names.append(f"{group}: share of the noise in the innovation variance")
-        names.append("log(1 + seconds since the last measurement)")
-        names.append("log position deviation over the error scale")
-        names.append("log velocity deviation over a tenth of the error scale per second")
-        names.extend(self._channels.feature_names() if self._channels is not None else ())
+        names = [*statistics.feature_names(self.scenario.sensor.groups)]
+        for part in (self._channels, self._memory):
+            names.extend(part.feature_names() if part is not None else ())
         names.extend(f"previous action: {knob.name}" for knob in self.knobs)
         return tuple(names)
 

@@ -13,6 +13,7 @@ from kfenv.envs.knobs import MOST_FADING
 from kfenv.names import unknown
 from kfenv.scenarios.recording import Recording
 
+OBSERVATIONS = SHORT, FULL = "short", "full"
 REWARDS = ("rmse", "log-rmse", "improvement")
 ENGINE = "srukf-joseph-exact"
 GAUSSIAN_SUMS = ("gsekf", "gsckf")
@@ -24,6 +25,7 @@ class Options:
     """What an environment does with its episodes; see the environments' pages."""
 
     reward: str = "rmse"
+    observation: str = SHORT
     actions: Sequence[str] | None = None
     most_fading: float = MOST_FADING
     recording: Recording | None = None
@@ -34,6 +36,8 @@ class Options:
     def __post_init__(self) -> None:
         if self.reward not in REWARDS:
             raise ValueError(unknown("reward", self.reward, REWARDS))
+        if self.observation not in OBSERVATIONS:
+            raise ValueError(unknown("observation", self.observation, OBSERVATIONS))
         interval = self.decision_interval
         whole = isinstance(interval, int) and not isinstance(interval, bool)
         if interval is not None and (not whole or interval < 1):

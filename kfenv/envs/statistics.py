@@ -6,6 +6,7 @@ gets the same bits.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import exp, isnan, log, nan, sqrt
 
 import numpy as np
@@ -19,6 +20,23 @@ COMMON = 3  # time since the last arrival, position and velocity deviation
 # Columns of the statistics of a group: a mean square per window, lag product, last value
 LAG, LAST, COLUMNS = len(WINDOWS), len(WINDOWS) + 1, len(WINDOWS) + 2
 BOUND = 10.0  # of every feature
+
+
+def feature_names(groups: Sequence[str]) -> tuple[str, ...]:
+    """What each component of the observation is, but for the previous action."""
+    names = []
+    for group in groups:
+        names.append(f"{group}: whitened innovation, signed log")
+        names.extend(
+            f"{group}: log RMS of whitened innovations, window {window:g}" for window in WINDOWS
+        )
+        names.append(f"{group}: lag-1 correlation of whitened innovations")
+        names.append(f"{group}: share of channels that arrived")
+        names.append(f"{group}: share of the noise in the innovation variance")
+    names.append("log(1 + seconds since the last measurement)")
+    names.append("log position deviation over the error scale")
+    names.append("log velocity deviation over a tenth of the error scale per second")
+    return tuple(names)
 
 
 @njit(cache=True)
@@ -137,25 +155,27 @@ def observe(
                     count += 1
             at = g * PER_GROUP
             row = statistics[b, g]
-            out[b, at] = _signed_log(total / sqrt(count)) if count > 0 else 0.0
+            out[b, at] = signed_log(total / sqrt(count)) if count > 0 else 0.0
             for w in range(len(WINDOWS)):
-                out[b, at + 1 + w] = _bounded(0.5 * log(row[w] + 1e-4))
+                out[b, at + 1 + w] = bounded(0.5 * log(row[w] + 1e-4))
             out[b, at + 4] = max(-1.0, min(1.0, row[LAG] / (row[len(WINDOWS) - 1] + 1e-4)))
             out[b, at + 5] = count / channels
             out[b, at + 6] = share / count if count > 0 else 0.0
         at = groups * PER_GROUP
-        out[b, at] = _bounded(log(1.0 + since[b]))
-        out[b, at + 1] = _bounded(log(_deviation(factor[b], position) / error_scale))
-        out[b, at + 2] = _bounded(log(_deviation(factor[b], velocity) / (0.1 * error_scale)))
+        out[b, at] = bounded(log(1.0 + since[b]))
+        out[b, at + 1] = bounded(log(_deviation(factor[b], position) / error_scale))
+        out[b, at + 2] = bounded(log(_deviation(factor[b], velocity) / (0.1 * error_scale)))
 
 
 @njit
-def _signed_log(value):
-    return _bounded(log(1.0 + value) if value >= 0.0 else -log(1.0 - value))
+def signed_log(value):
+    """sign(value) log(1 + abs(value)), within the bound of a feature."""
+    return bounded(log(1.0 + value) if value >= 0.0 else -log(1.0 - value))
 
 
 @njit
-def _bounded(value):
+def bounded(value):
+    """The value, or the bound of a feature beyond it."""
     return max(-BOUND, min(BOUND, value)) if not isnan(value) else nan
 
 
