@@ -35,6 +35,8 @@ WRONG = [  # keyword argument of every environment, what must be said of it
     ({"rate": True}, "rate"),
     ({"reward": "rms"}, "'rms'. Did you mean 'rmse'"),
     ({"reward": None}, "None"),
+    ({"observation": "ful"}, "'ful'. Did you mean 'full'"),
+    ({"observation": None}, "None"),
     ({"actions": ["fadin"]}, "'fadin'. Did you mean 'fading'"),
     ({"actions": "noise"}, "'noise'"),
     ({"actions": []}, "no knob"),

@@ -6,6 +6,7 @@ and its estimate. One filter after the other in plain loops, as in `kfenv.envs.s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import exp, isnan, log, log1p, sqrt
 from typing import Any
 
@@ -17,6 +18,7 @@ from kfenv.envs.channels import AXES
 from kfenv.envs.statistics import BOUND, bounded, signed_log
 from kfenv.filters.protocol import Measurement
 from kfenv.filters.results import Update
+from kfenv.models.model import Motion, Sensor
 
 Array = NDArray[np.float64]
 
@@ -52,11 +54,10 @@ class Memory:
         self._scenario, self._chosen, self._held = scenario, chosen, held
         motion, sensor = scenario.motion, scenario.sensor
         self._position, self._velocity = np.array(motion.position), np.array(motion.velocity)
-        self._acceleration = np.flatnonzero([state.unit == "m/s^2" for state in motion.states])
+        self._acceleration = accelerations(motion)
         self._group = np.array(sensor.group_of_channel)
         self._size = np.bincount(self._group)
-        self._names = [channel.name for channel in sensor.channels]
-        self._channels = np.zeros((batch, len(self._names), CHANNEL_COLUMNS))
+        self._channels = np.zeros((batch, len(sensor.channels), CHANNEL_COLUMNS))
         self._groups = np.zeros((batch, len(sensor.groups), COLUMNS))
         self._origin, self._last, self._change = np.zeros((3, batch, 3))
         self._features = np.zeros((batch, len(self.feature_names())))
@@ -116,18 +117,28 @@ class Memory:
 
     def feature_names(self) -> tuple[str, ...]:
         """What each of them is."""
-        names = []
-        for g, group in enumerate(self._scenario.sensor.groups):
-            size = self._size[g]
-            if size <= AXES:
-                members = [self._names[c] for c in np.flatnonzero(self._group == g)]
-                names += [f"{name}: {what}" for name in members for what in signed_features()]
-            else:
-                names += [f"{group}: {what}" for what in signed_features()[1:]]
-            names += [f"{group}: {what}" for what in group_features(several=size > 1)]
-        alone = [self._names[c] for c in self._chosen]
-        names += [*common_features(), *(f"{c} alone: {w}" for c in alone for w in of_channel())]
-        return tuple(names)
+        return feature_names(self._scenario.sensor, self._chosen)
+
+
+def feature_names(sensor: Sensor, chosen: Sequence[int] = ()) -> tuple[str, ...]:
+    """What each feature is, with the chosen channels' own."""
+    names: list[str] = []
+    for group in sensor.groups:
+        members = [channel.name for channel in sensor.channels if channel.group == group]
+        if len(members) <= AXES:
+            names += [f"{name}: {what}" for name in members for what in signed_features()]
+        else:
+            names += [f"{group}: {what}" for what in signed_features()[1:]]
+        names += [f"{group}: {what}" for what in group_features(several=len(members) > 1)]
+    names += common_features()
+    for channel in chosen:
+        names += [f"{sensor.channels[channel].name} alone: {what}" for what in of_channel()]
+    return tuple(names)
+
+
+def accelerations(motion: Motion) -> NDArray[np.int64]:
+    """Indices of the states that are accelerations: three or none."""
+    return np.flatnonzero([state.unit == "m/s^2" for state in motion.states])
 
 
 def signed_features() -> tuple[str, ...]:

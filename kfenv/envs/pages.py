@@ -10,15 +10,13 @@ of the random flights, ``{preset[random]}`` the faults of a preset. A literal br
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from inspect import cleandoc
 from textwrap import indent
 from typing import Any
 
 import numpy as np
 
-from kfenv.envs import statistics
-from kfenv.envs.channels import PER_CHANNEL, channel_features, told_channels
+from kfenv.envs.channels import told_channels
 from kfenv.envs.fault_lists import known_faults, named_faults
 from kfenv.envs.knobs import (
     CHANNEL_NOISE,
@@ -30,15 +28,14 @@ from kfenv.envs.knobs import (
     Knob,
     knobs_of,
 )
-from kfenv.envs.options import ENGINE, GAUSSIAN_SUMS, REWARDS, Options
+from kfenv.envs.observation_page import observation_space
+from kfenv.envs.options import ENGINE, FULL, GAUSSIAN_SUMS, REWARDS, SHORT, Options
 from kfenv.envs.rewards import IMPROVEMENT_CAP, worst
-from kfenv.envs.wording import factor, listed, table, wrap
+from kfenv.envs.wording import factor, listed, paragraphs, table, wrap
 from kfenv.filters.adaptive import told_design
 from kfenv.models.model import Component
 from kfenv.scenarios import trajectories
 from kfenv.scenarios.scenario import MAX_RATE, MIN_RATE
-
-ORDINALS = ("first", "second", "third")
 
 
 def with_page(env_class: type) -> type:
@@ -75,10 +72,6 @@ def compose(text: str, scenario_class: type) -> str:
     return wrap("\n".join(lines))
 
 
-def _paragraphs(*texts: str) -> str:
-    return "\n\n".join(map(cleandoc, texts))
-
-
 def _if_rare(scenario: Any, text: str) -> str:
     """The text, where measurements are rarer than filter steps."""
     return text if scenario.steps_per_measurement > 1 else ""
@@ -89,7 +82,7 @@ def _if_rare(scenario: Any, text: str) -> str:
 
 def decisions(scenario: Any) -> str:
     """How an episode and a decision go; ends with the filter."""
-    return _paragraphs("""
+    return paragraphs("""
         Every random thing (truth, faults, noise) is drawn before the filter runs, so that the
         action changes the filter and never the world. Before each decision the agent sees the
         innovation of the *pending* measurement, formed with nominal knobs; the step then
@@ -100,7 +93,7 @@ def decisions(scenario: Any) -> str:
 def info(scenario: Any) -> str:
     """What `info` holds."""
     states = ", ".join(f"{state.name} ({state.unit})" for state in scenario.motion.states)
-    return _paragraphs(
+    return paragraphs(
         "``info`` holds, after ``reset`` and every ``step``:",
         f"""
         - ``time`` (s) of the filter step made last, its ``position_error`` (m) and ``nis`` (0 if
@@ -121,7 +114,7 @@ def info(scenario: Any) -> str:
 def action_space(scenario: Any) -> str:
     """The knobs."""
     knobs = knobs_of(scenario.sensor.groups)
-    return _paragraphs(
+    return paragraphs(
         f"""
         ``Box(-1, 1, ({len(knobs)},), float32)``, one component a per knob, less where ``actions``
         exposes less. The factor is high^a for a >= 0 and low^-a for a < 0, so that zero is
@@ -151,69 +144,6 @@ def _range(knob: Knob) -> str:
     return f"{factor(knob.low)} to {factor(knob.high)}"
 
 
-def observation_space(scenario: Any) -> str:
-    """The features."""
-    groups = scenario.sensor.groups
-    size = len(groups) * statistics.PER_GROUP + statistics.COMMON + len(knobs_of(groups))
-    several = len(scenario.sensor.channels) > len(groups)
-    sums = """The whitened innovation of a group is the sum over its channels that arrived, over
-        the root of their number; squares and shares are means over them."""
-    return _paragraphs(
-        f"""
-        ``Box(float32)`` of {size} components with all knobs, all dimensionless:
-        {statistics.PER_GROUP} for each of the groups {listed(groups)}
-        ({listed(ORDINALS[: len(groups)])} index), {statistics.COMMON} common ones, and the
-        previous action. Nothing in it needs the truth. Windows are exponential; logarithms are
-        natural; the space bounds all components by {-statistics.BOUND:g} and
-        {statistics.BOUND:g}, the previous action by -1 and 1. The features of the present (the
-        first and the last two of a group) are zero where the {"group" if several else "channel"}
-        is missing or nothing is pending. {sums if several else ""}""",
-        table(("Index", "Meaning", "Bounds"), _feature_rows(groups, several)),
-        """
-        Deviations are roots of the trace of the covariance predicted with nominal knobs.
-        ``env.unwrapped.core.feature_names()`` names every component.""",
-        f"""
-        Each channel with a knob of its own adds {PER_CHANNEL} features behind the common ones. They
-        tell of v, what the other channels leave unexplained of its innovation, over that part's
-        deviation: {listed(channel_features())}; the first and the last are zero where it is
-        missing.""",
-    )
-
-
-def _feature_rows(groups: Sequence[str], several: bool) -> list[tuple[str, str, str]]:
-    begin = len(groups) * statistics.PER_GROUP
-    action = begin + statistics.COMMON
-    starts = range(0, begin, statistics.PER_GROUP)
-    of_group, common = _group_features(several), _common_features()
-    rows = [(", ".join(str(s + i) for s in starts), *row) for i, row in enumerate(of_group)]
-    rows += [(str(begin + i), *row) for i, row in enumerate(common)]
-    places = f"{action} to {action + len(knobs_of(groups)) - 1}"
-    return [*rows, (places, "the previous action, one component per exposed knob", "-1 to 1")]
-
-
-def _group_features(several: bool) -> list[tuple[str, str]]:
-    first, *others = (f"{window:g} arrivals" for window in statistics.WINDOWS)
-    bounds = f"{-statistics.BOUND:g} to {statistics.BOUND:g}"
-    arrived = ("share of the group's channels that arrived", "0 to 1")
-    return [
-        ("whitened innovation w now: sign(w) log(1 + abs(w))", bounds),
-        (f"log of the RMS of w over a window of {first}", bounds),
-        *((f"the same over {window}", bounds) for window in others),
-        (f"lag-1 correlation of w over {statistics.WINDOWS[-1]:g} arrivals", "-1 to 1"),
-        arrived if several else ("whether the channel arrived", "0 or 1"),
-        ("share of the told noise in the innovation's variance", "0 to 1"),
-    ]
-
-
-def _common_features() -> list[tuple[str, str]]:
-    bounds = f"{-statistics.BOUND:g} to {statistics.BOUND:g}"
-    return [
-        ("log(1 + seconds since anything arrived)", f"0 to {statistics.BOUND:g}"),
-        ("log of the predicted position deviation over the error scale", bounds),
-        ("log of the predicted velocity deviation over a tenth of that per s", bounds),
-    ]
-
-
 # ----- Rewards and episodes ---------------------------------------------------------------
 
 
@@ -221,7 +151,7 @@ def rewards(scenario: Any) -> str:
     """What a decision earns."""
     scale, lost_distance = scenario.error_scale, scenario.lost_distance
     most = [f"{round(worst(name, scale, lost_distance), 1):g}" for name in REWARDS]
-    return _paragraphs(
+    return paragraphs(
         f"""
         The error scale is {scale:g} m. Errors are those of the position, m.""",
         f"""
@@ -246,7 +176,7 @@ def rewards(scenario: Any) -> str:
 
 def random_flight(scenario: Any) -> str:
     """What flies unless told otherwise."""
-    return _paragraphs(f"""
+    return paragraphs(f"""
         The flight is random: {_flown("manoeuvring")},
         {trajectories.MIN_ALTITUDE:g} to {trajectories.MAX_ALTITUDE:g} m high""")
 
@@ -281,14 +211,14 @@ def _with_unit(value: float, state: Component) -> str:
 
 def first_decision(scenario: Any) -> str:
     """What happens at the first instant."""
-    return _paragraphs("""
+    return paragraphs("""
         The first decision concerns the measurement at the first instant, which updates the
         initial state without a prediction.""")
 
 
 def episode_end(scenario: Any) -> str:
     """When it is over."""
-    return _paragraphs(f"""
+    return paragraphs(f"""
         Terminated when the track is lost: a position error above
         {scenario.lost_distance / 1e3:g} km, or a filter that fails (numbers that are not finite).
         Truncated after the last instant, which is after ``duration * rate + 1`` filter
@@ -306,14 +236,14 @@ def rates(scenario: Any) -> str:
 
 def track_file(scenario: Any) -> str:
     """What `track` is."""
-    return _paragraphs("""
+    return paragraphs("""
         path of a CSV file with the columns t (s), lat, lon (degrees) and alt_m (m) of a real
         flight, which becomes the truth""")
 
 
 def radar_position(scenario: Any) -> str:
     """Where the radar stands beside a real flight."""
-    return _paragraphs("""
+    return paragraphs("""
         latitude and longitude (degrees) and height (m) of the radar beside that flight; without
         it the window is placed at random.""")
 
@@ -335,9 +265,11 @@ def other_faults(scenario: Any) -> str:
 def options(scenario: Any) -> str:
     """The arguments that every environment has."""
     one = _if_rare(scenario, ", those from one measurement to the next")
-    return _paragraphs(
+    return paragraphs(
         f"""
         - ``reward``: {listed(f'``"{name}"``' for name in REWARDS)}, see Rewards.
+        - ``observation``: ``"{SHORT}"`` (default) or ``"{FULL}"``, with a memory, see
+          Observation Space.
         - ``actions``: names of the knobs to expose, from the table above;
           ``"{MEASUREMENT_NOISE}"`` stands for the {len(scenario.sensor.groups)} noise knobs there,
           ``"{CHANNEL_NOISE}"`` for one on each channel. Default all of the table.
@@ -380,7 +312,7 @@ def vector_arguments(scenario: Any) -> str:
     channels, states = len(scenario.sensor.channels), len(scenario.motion.states)
     numbers = states + 2 * channels + sum(scenario.dimensions) + 2  # truth's weight, nominal error
     megabytes = 8e-6 * numbers * len(scenario.time)
-    return _paragraphs(f"""
+    return paragraphs(f"""
         Takes ``num_envs`` and ``autoreset_mode`` (``"next_step"`` by default, ``"same_step"``
         for libraries that expect a fresh observation at once, ``"disabled"``) and every argument
         of the single environment but ``render_mode``. Sub-environment i seeded with s + i gives

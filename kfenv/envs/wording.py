@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Iterable
+from inspect import cleandoc
 
 import numpy as np
 
@@ -34,6 +35,11 @@ def _filled(block: str) -> str:
         break_long_words=False, break_on_hyphens=False,
     )  # fmt: skip
     return filled.replace("\0", " ")
+
+
+def paragraphs(*texts: str) -> str:
+    """Texts, each as indented as its code, with empty lines between."""
+    return "\n\n".join(map(cleandoc, texts))
 
 
 def table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
