@@ -56,7 +56,8 @@ def variable_turn(spectral_density: float = 1.0, speed_floor: float = 10.0) -> M
 def _build(xp: ModuleType, root_density: float, floor_squared: float) -> MotionFunctions:
     rates = _build_rates(xp, floor_squared)
     step = _build_step(xp, rates)
-    covariance = _build_covariance(xp)
+    at_once = hasattr(xp, "gram")  # tensors: hundreds of small operations are slow
+    covariance = (_build_covariance_at_once if at_once else _build_covariance)(xp)
 
     @xp.function
     def noise_factor(x, u, dt):
@@ -136,9 +137,7 @@ def _build_covariance(xp: ModuleType):
     Q1 = integral of phi phi^T with the impulse response phi by its Taylor series
     in the scaled time (SPEC 3.3), whose first terms carry the powers of dt.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(8)
-    nodes = tuple(float(0.5 * (node + 1.0)) for node in nodes)
-    weights = tuple(float(0.5 * weight) for weight in weights)
+    nodes, weights = _quadrature()
     inverse = tuple(1.0 / factorial(k) for k in range(TAYLOR_TERMS + 2))
 
     @xp.function
@@ -164,6 +163,43 @@ def _build_covariance(xp: ModuleType):
             q22 = q22 + w * velocity * velocity
             q23 = q23 + w * velocity * acceleration
             q33 = q33 + w * acceleration * acceleration
+        return q11, q12, q13, q22, q23, q33
+
+    return covariance
+
+
+def _quadrature() -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Nodes and weights of the eight-node Gauss-Legendre rule over [0, 1]."""
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    return (
+        tuple(float(0.5 * (node + 1.0)) for node in nodes),
+        tuple(float(0.5 * weight) for weight in weights),
+    )
+
+
+def _build_covariance_at_once(xp: ModuleType):
+    """`_build_covariance` as one product of matrices: the derivatives are those of every node."""
+    table = np.array(
+        [
+            [
+                [
+                    weight**0.5 * tau ** (k + 2 - i) / factorial(k + 2 - i)
+                    for k in range(TAYLOR_TERMS)
+                ]
+                for i in range(3)
+            ]
+            for tau, weight in zip(*_quadrature(), strict=True)
+        ]
+    )
+
+    def covariance(alpha, turn_rate_squared, dt):
+        damping = 2.0 * alpha * dt
+        stiffness = (alpha * alpha + turn_rate_squared) * dt * dt
+        derivatives = [1.0 + 0.0 * alpha, -damping]
+        while len(derivatives) < TAYLOR_TERMS:
+            *_, before, last = derivatives
+            derivatives.append(-(damping * last + stiffness * before))
+        (q11, q12, q13), (_, q22, q23), (_, _, q33) = xp.gram(table, derivatives)
         return q11, q12, q13, q22, q23, q33
 
     return covariance

@@ -12,5 +12,6 @@ given one of these modules when it is built:
 =========== =====================================================
 
 Each offers ``sqrt, sin, cos, atan2, maximum, minimum`` and ``function``, the
-decorator that every function inside a model's ``build`` carries.
+decorator that every function inside a model's ``build`` carries. `tensor` alone offers
+``gram`` as well, by which a model may do at once what elsewhere is a loop.
 """

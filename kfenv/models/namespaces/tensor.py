@@ -11,12 +11,20 @@ def atan2(y, x):
 
 def maximum(a, b):
     """The larger of a and b; either may be a number."""
-    return torch.maximum(torch.as_tensor(a), torch.as_tensor(b, dtype=torch.float64))
+    if isinstance(a, torch.Tensor) and isinstance(b, torch.Tensor):
+        return torch.maximum(a, b)
+    if isinstance(a, torch.Tensor):
+        return torch.clamp(a, min=b)  # no tensor is made of the number
+    return torch.clamp(torch.as_tensor(b, dtype=torch.float64), min=a)
 
 
 def minimum(a, b):
     """The smaller of a and b; either may be a number."""
-    return torch.minimum(torch.as_tensor(a), torch.as_tensor(b, dtype=torch.float64))
+    if isinstance(a, torch.Tensor) and isinstance(b, torch.Tensor):
+        return torch.minimum(a, b)
+    if isinstance(a, torch.Tensor):
+        return torch.clamp(a, max=b)
+    return torch.clamp(torch.as_tensor(b, dtype=torch.float64), max=a)
 
 
 def function(f):
@@ -24,4 +32,20 @@ def function(f):
     return f
 
 
-__all__ = ["atan2", "cos", "function", "maximum", "minimum", "sin", "sqrt"]
+def gram(table, values):
+    """Sum over i of (A_i v)(A_i v)^T for constant matrices A_i, row by row as tuples.
+
+    An operation costs a tensor the more, the smaller it is; this is three of them.
+
+    Args:
+        table: NumPy array (nodes, rows, len(values)) of the A_i.
+        values: the components of v.
+    """
+    v = torch.stack(values, dim=-1)
+    nodes, rows, terms = table.shape
+    flat = torch.as_tensor(table.reshape(-1, terms), dtype=v.dtype, device=v.device)
+    seen = (v @ flat.mT).unflatten(-1, (nodes, rows))
+    return tuple(row.unbind(-1) for row in (seen.mT @ seen).unbind(-2))
+
+
+__all__ = ["atan2", "cos", "function", "gram", "maximum", "minimum", "sin", "sqrt"]
