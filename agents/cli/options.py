@@ -21,7 +21,8 @@ Faults = Annotated[
     ),
 ]
 Track = Annotated[
-    Path | None, typer.Option(help="A real flight as the truth: CSV with t, lat, lon, alt_m.")
+    Path | None,
+    typer.Option(help="A real flight as the truth: CSV with t, lat, lon, alt_m or alt_ft."),
 ]
 Rinex = Annotated[
     tuple[Path, Path] | None,

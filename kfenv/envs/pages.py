@@ -237,8 +237,8 @@ def rates(scenario: Any) -> str:
 def track_file(scenario: Any) -> str:
     """What `track` is."""
     return paragraphs("""
-        path of a CSV file with the columns t (s), lat, lon (degrees) and alt_m (m) of a real
-        flight, which becomes the truth""")
+        path of a CSV file with the columns t (s), lat, lon (degrees) and alt_m (m) or alt_ft
+        (feet) of a real flight, which becomes the truth, smoothed""")
 
 
 def radar_position(scenario: Any) -> str:

@@ -62,6 +62,12 @@ class RadarTrackingEnv(TrackingEnv):
     - ``track``: {track_file}: by default a random window of it, placed at random before the
       radar.
     - ``radar_position``: {radar_position}
+    - ``cutoff``: period of motion that smoothing the flight halves, s (default
+      {scenario.cutoff:g}).
+    - ``longest_gap``: between two of its reports that an episode may bridge, s (default
+      {scenario.longest_gap:g}; in cruise reports may lie a minute apart).
+    - ``altitude_offset``: added to its height, m: negative for a flight that is too high for
+      the radar (default {scenario.altitude_offset:g}).
     {options}
 
     ## Version History
@@ -132,6 +138,12 @@ class RadarValidationEnv(TrackingEnv):
     - ``track``: {track_file}: by default a random window of it, placed at random before the
       radar.
     - ``radar_position``: {radar_position}
+    - ``cutoff``: period of motion that smoothing the flight halves, s (default
+      {scenario.cutoff:g}).
+    - ``longest_gap``: between two of its reports that an episode may bridge, s (default
+      {scenario.longest_gap:g}; in cruise reports may lie a minute apart).
+    - ``altitude_offset``: added to its height, m: negative for a flight that is too high for
+      the radar (default {scenario.altitude_offset:g}).
     {options}
 
     ## Version History

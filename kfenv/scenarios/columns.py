@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 from os import PathLike
 from pathlib import Path
@@ -27,20 +28,41 @@ def read_columns(path: str | PathLike[str], what: str, columns: Sequence[str]) -
         ValueError: if it is no CSV file, a column is missing or holds what is no number;
             the message names the file.
     """
+    with _rows(path, what) as rows:
+        return _read(rows, what, columns)
+
+
+def column_names(path: str | PathLike[str], what: str) -> list[str]:
+    """The names in a CSV file's first line.
+
+    Raises:
+        FileNotFoundError, ValueError: as `read_columns`.
+    """
+    with _rows(path, what) as rows:
+        return _header(rows)
+
+
+@contextmanager
+def _rows(path: str | PathLike[str], what: str) -> Iterator:
+    """The rows of a file; complaints that come up while it is open name it."""
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"there is no {what} file {path}.")
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            return _read(csv.reader(file), what, columns)
+            yield csv.reader(file)
     except (csv.Error, UnicodeDecodeError):
         raise ValueError(f"{path} is not a CSV text file.") from None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
 
+def _header(rows) -> list[str]:
+    return [name.strip() for name in next(rows, [])]
+
+
 def _read(rows, what: str, columns: Sequence[str]) -> list[Array]:
-    header = [name.strip() for name in next(rows, [])]
+    header = _header(rows)
     for column in columns:
         if column not in header:
             raise ValueError(_missing(what, columns, column, header))

@@ -1,77 +1,43 @@
-"""Real flights as truth: a track file, a smoothing spline through it, and its windows.
+"""Real flights as truth: a smoothing spline through a track file's reports, and its windows.
 
-Position reports of aircraft (ADS-B) jitter by 7 to 30 m along the track, since they
-are stamped late, and step by 25 ft in altitude; a few are stale by hundreds of
-metres. A cubic smoothing spline per axis, in a local east-north-up frame, takes the
-jitter out and gives continuous velocity and acceleration at any time.
+Position reports of aircraft (ADS-B) jitter by 7 to 60 m along the track, since they
+are stamped late or in whole seconds, and step by 25 ft in altitude; a few are stale by
+hundreds of metres. A robust cubic smoothing spline in a local east-north-up frame takes
+the jitter out and gives continuous velocity and acceleration at any time.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
-from kfenv.scenarios.columns import read_columns
-from kfenv.scenarios.coverage import CHECK_STEP, check_time, place, turn
+from kfenv.checks import is_number
+from kfenv.scenarios.coverage import CHECK_STEP, Placement, check_time, place, turn
+from kfenv.scenarios.reports import Site, Track, check_degrees, load_track, tidied
+from kfenv.scenarios.smoothing import robust_spline
 
 if TYPE_CHECKING:
-    from scipy.interpolate import BSpline
+    from scipy.interpolate import CubicSpline
 
 Array = NDArray[np.float64]
-Site = tuple[float, float, float]  # latitude and longitude in degrees, height in m
-
-COLUMNS = ("t", "lat", "lon", "alt_m")
-MIN_REPORTS = 10
 
 CUTOFF = 25.0  # s; see smooth_track
-MAX_GAP = 10.0  # s
-OUTLIER_FACTOR, OUTLIER_FLOOR = 5.0, 30.0  # times the median distance; m
-MAX_OUTLIERS = 0.05  # share of the reports
-OUTLIER_PASSES = 3
+LONGEST_GAP = 10.0  # s
+LATE, ASTRAY = 10.0, 2_000.0  # s and m that a late report may lie off; beyond it is another's
+MAX_ASTRAY, MAX_REJECTED = 0.05, 0.3  # shares of the reports
 
 WINDOW_RANGE = (6_000.0, 13_000.0)  # m, of a window's middle, along the ground
-MAX_ATTEMPTS = 200
-
-
-@dataclass(frozen=True, eq=False)
-class Track:
-    """The position reports of one flight, as they are in its file.
-
-    Attributes:
-        time: (N,) increasing, s.
-        latitude, longitude: (N,) degrees.
-        altitude: (N,) taken as height above the WGS 84 ellipsoid, m.
-
-    Raises:
-        ValueError: if the columns differ in length, hold a value that is no number or
-            no place on Earth, have fewer than 10 rows, or times do not increase.
-    """
-
-    time: Array
-    latitude: Array
-    longitude: Array
-    altitude: Array
-
-    def __post_init__(self) -> None:
-        for column, field in zip(COLUMNS, fields(self), strict=True):
-            value = np.asarray(getattr(self, field.name), dtype=float)
-            object.__setattr__(self, field.name, value)
-            _check_column(column, value, self.time.size)
-        _check_bounds("lat", self.latitude, 90.0)
-        _check_bounds("lon", self.longitude, 360.0)
-        steps = np.diff(self.time)
-        if not (steps > 0.0).all():
-            row = int(np.argmin(steps > 0.0))
-            complaint = "repeats" if steps[row] == 0.0 else "decreases"
-            raise ValueError(
-                f"column 't' {complaint} in data row {row + 2}: {self.time[row]:g} s, then "
-                f"{self.time[row + 1]:g} s; sort the rows and keep one per time."
-            )
+MAX_ATTEMPTS, FEW_ATTEMPTS = 200, 20
+LOWERED = tuple(range(-1000, -13_000, -1000))  # m, tried for a flight that is too high
+SHORTER = (0.75, 0.5, 0.25, 0.1)  # of a window, tried for a flight that is too fast
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,16 +49,20 @@ class SmoothTrack:
     Attributes:
         origin: of the east-north-up frame: latitude and longitude in degrees, height m.
         duration: s.
-        gaps: (begin, end) of the stretches of more than 10 s without a report, s. The
-            spline bridges them with the least bending; `window` avoids them.
-        rejected: how many stale reports were left out.
+        gaps: (begin, end) of the stretches of more than `longest_gap` without a report, s.
+            The spline bridges them with the least bending; `window` avoids them.
+        rejected: how many reports were left out, since they were stale or lay far off.
+        longest_gap: s.
+        path: of the file.
     """
 
     origin: Site
     duration: float
     gaps: tuple[tuple[float, float], ...]
     rejected: int
-    _splines: tuple[BSpline, BSpline, BSpline]  # position, velocity, acceleration
+    longest_gap: float
+    path: str
+    _spline: CubicSpline
 
     def states(self, time: ArrayLike) -> Array:
         """Return the states (T, 9) at times (T,) s, axis-major, in the frame at the origin.
@@ -114,57 +84,86 @@ class SmoothTrack:
         longest = float((end - begin).max())
         if longest < duration - 1e-6:
             raise ValueError(
-                f"the flight lasts {longest:g} s without a gap of more than {MAX_GAP:g} s in its "
-                f"reports, the episode {duration:g} s; shorten the episode or take another flight."
+                f"{self.path} lasts {longest:g} s without a gap of more than "
+                f"{self.longest_gap:g} s in its reports, the episode {duration:g} s; shorten the "
+                f"episode{self._bridge(duration)} or take another flight."
             )
         room = np.maximum(room, 0.0)
         offset = rng.uniform(0.0, room.sum())
         stretch = int(np.searchsorted(np.cumsum(room), offset))
         return float(begin[stretch] + offset - room[:stretch].sum())
 
+    def _bridge(self, duration: float) -> str:
+        """What bridges the gaps, where that makes the flight long enough."""
+        widest = max((end - begin for begin, end in self.gaps), default=0.0)
+        return f", bridge gaps with longest_gap={widest:g}" if duration <= self.duration else ""
+
     def _check(self, time: ArrayLike) -> Array:
         time = check_time(time)
         if time[0] < 0.0 or time[-1] > self.duration + 1e-6:
             raise ValueError(
-                f"the flight lasts from 0 to {self.duration:g} s, "
+                f"{self.path} lasts from 0 to {self.duration:g} s, "
                 f"times from {time[0]:g} to {time[-1]:g} s were asked for."
             )
         return time
 
     def _motion(self, time: Array) -> Array:
         """Position, velocity and acceleration at any times: (3 axes, 3 quantities, T)."""
-        return np.stack([spline(time).T for spline in self._splines], axis=1)
+        return np.stack([self._spline(time, order).T for order in range(3)], axis=1)
 
 
-def load_track(path: str | Path) -> Track:
-    """Read a flight from a CSV file with the columns t (s), lat, lon (degrees) and alt_m (m).
+def flight(
+    path: str | PathLike[str], cutoff: float = CUTOFF, longest_gap: float = LONGEST_GAP
+) -> SmoothTrack:
+    """Read and smooth the flight in a track file, anew when the file has changed.
 
-    Other columns are ignored.
+    Args, Raises: as `load_track` and `smooth_track`.
+    """
+    file = Path(path).resolve()
+    written = file.stat() if file.is_file() else None
+    state = (written.st_size, written.st_mtime_ns) if written else ()
+    return _smoothed(file, cutoff, longest_gap, state)
+
+
+def check_track(scenario: Any, only_beside_it: Sequence[str]) -> None:
+    """Complain of a scenario's `track` that is no path, and of arguments that need one.
 
     Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if it is no CSV file, or as in `Track`; the message names the file.
+        ValueError: naming the argument.
     """
-    columns = read_columns(path, "track", COLUMNS)
-    try:
-        return Track(*columns)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+    path = scenario.track
+    if path is not None and not isinstance(path, str | PathLike):
+        raise ValueError(f"track must be the path of a CSV file, got {path!r}.")
+    for item in fields(scenario):
+        value = getattr(scenario, item.name)
+        if item.name not in only_beside_it or value is item.default:
+            continue
+        if path is None and value != item.default:
+            raise ValueError(f"{item.name} goes with a real flight: give a track too.")
+        if isinstance(item.default, float) and not is_number(value):
+            raise ValueError(f"{item.name} must be a number, got {value!r}.")
 
 
-def smooth_track(track: Track, cutoff: float = CUTOFF, origin: Site | None = None) -> SmoothTrack:
-    """Fit a cubic smoothing spline to a flight.
+@lru_cache(maxsize=16)
+def _smoothed(path: Path, cutoff: float, longest_gap: float, state: tuple[int, ...]) -> SmoothTrack:
+    return smooth_track(load_track(path), cutoff, longest_gap=longest_gap)
 
-    The spline minimises the squared distance to the reports, each weighted by the time
-    it stands for, plus (cutoff / 2 pi)^4 times the squared acceleration, both integrated
-    over time. Motion of period T comes through with gain 1 / (1 + (cutoff / T)^4), however
-    densely it was sampled. Reports further from the spline than five times the median
-    (and 30 m) are stale: they are left out and the fit repeated.
 
-    On three airliners' flights the default of 25 s holds speed within 2 m/s rms of the
-    reported ground speed and acceleration below 0.7 g, keeps turns (up to 3.4 deg/s) and
-    displaces them by 3 to 5 m rms, less than the jitter. At 15 s the jitter makes speed
-    errors of 4 m/s rms; at 40 s turns are displaced by 15 m rms, up to 80 m.
+def smooth_track(
+    track: Track,
+    cutoff: float = CUTOFF,
+    origin: Site | None = None,
+    longest_gap: float = LONGEST_GAP,
+) -> SmoothTrack:
+    """Fit a robust cubic smoothing spline to a flight (see `kfenv.scenarios.smoothing`).
+
+    Motion of period T comes through with gain 1 / (1 + (cutoff / T)^4), however densely it
+    was sampled; along the track the cutoff grows where times jitter by more than usual.
+    Reports further from the spline than five times what those around them show (and 30 m)
+    are left out.
+
+    On three airliners' flights the default of 25 s holds speed within 1.5 m/s rms of the
+    reported ground speed and acceleration below 0.7 g and keeps turns (up to 3.4 deg/s).
     In the first and last half cutoff acceleration fades to zero at the flight's ends.
 
     Args:
@@ -172,16 +171,12 @@ def smooth_track(track: Track, cutoff: float = CUTOFF, origin: Site | None = Non
         cutoff: period at which the gain is a half, s.
         origin: of the local frame, latitude and longitude in degrees and height in m;
             by default the flight's middle report.
+        longest_gap: between two reports that windows may bridge, s.
 
     Raises:
-        ValueError: if the cutoff is not positive or longer than the flight, or more than
-            5 % of the reports seem stale.
+        ValueError: if the cutoff is not positive or longer than the flight, the gap not
+            positive, or many reports lie off.
     """
-    duration = track.time[-1] - track.time[0]
-    if not 0.0 < cutoff <= duration:
-        raise ValueError(
-            f"cutoff must be positive and at most the flight's {duration:g} s, got {cutoff!r} s."
-        )
     middle = track.time.size // 2
     if origin is None:
         origin = (
@@ -189,18 +184,44 @@ def smooth_track(track: Track, cutoff: float = CUTOFF, origin: Site | None = Non
             float(track.longitude[middle]),
             float(track.altitude[middle]),
         )
-    position = _local(track, origin)
-    kept = _without_outliers(track.time, position, cutoff)
-    time = track.time[kept] - track.time[kept][0]
-    spline = _fit(time, position[kept], cutoff)
-    wide = np.flatnonzero(np.diff(time) > MAX_GAP)
+    time, position, stale = tidied(track, origin)
+    duration = time[-1] - time[0]
+    if not 0.0 < cutoff <= duration:
+        raise ValueError(
+            f"cutoff must be positive and at most the flight's {duration:g} s, got {cutoff!r} s."
+        )
+    if not longest_gap > 0.0:
+        raise ValueError(f"longest_gap must be positive, got {longest_gap!r} s.")
+    spline, kept = robust_spline(time - time[0], position, cutoff)
+    _check_rejected(track.path, spline, time - time[0], position, kept, cutoff)
+    begin = time[kept][0] - time[0]
+    spline.x -= begin
+    wide = np.flatnonzero(np.diff(spline.x) > longest_gap)
     return SmoothTrack(
         origin=origin,
-        duration=float(time[-1]),
-        gaps=tuple((float(time[i]), float(time[i + 1])) for i in wide),
-        rejected=int((~kept).sum()),
-        _splines=(spline, spline.derivative(1), spline.derivative(2)),
+        duration=float(spline.x[-1]),
+        gaps=tuple((float(spline.x[i]), float(spline.x[i + 1])) for i in wide),
+        rejected=stale + int((~kept).sum()),
+        longest_gap=longest_gap,
+        path=track.path,
+        _spline=spline,
     )
+
+
+def _check_rejected(path: str, spline, time: Array, position: Array, kept, cutoff: float) -> None:
+    speed = np.linalg.norm(spline(time, 1), axis=1)
+    astray = np.linalg.norm(position - spline(time), axis=1) > ASTRAY + LATE * speed
+    if (astray & ~kept).mean() > MAX_ASTRAY:
+        raise ValueError(
+            f"{path}: {astray.sum()} of {time.size} reports lie kilometres off the smoothed "
+            "flight: the file mixes aircraft; keep the rows of one."
+        )
+    if (~kept).mean() > MAX_REJECTED:
+        raise ValueError(
+            f"{path}: {(~kept).sum()} of {time.size} reports lie off the smoothed flight: its "
+            f"times are wrong, or a cutoff of {cutoff:g} s is too long for its turns; try a "
+            f"cutoff of {0.5 * cutoff:g}."
+        )
 
 
 def window(
@@ -224,14 +245,37 @@ def window(
 
     Raises:
         ValueError: if the times are unusable, or last longer than the flight or than its
-            longest stretch without a gap.
-        RuntimeError: if none of 200 windows fits into coverage above the ground.
+            longest stretch without a gap, or none of 200 windows fits into coverage above
+            the ground; then the message says what would fit.
     """
     time = check_time(time)
     elapsed = time - time[0]
     duration = float(elapsed[-1])
+    drawn = _draw(rng, smooth, duration, altitude_offset)
+    if drawn is None:
+        raise ValueError(
+            f"{smooth.path}: none of {MAX_ATTEMPTS} windows of {duration:g} s stayed in the "
+            f"radar's coverage and above the ground at an altitude_offset of {altitude_offset:g} "
+            f"m; {_remedy(smooth, duration, altitude_offset)}."
+        )
+    start, to_ground, placement = drawn
+    motion = to_ground.apply(smooth._motion(start + elapsed))
+    turned = turn(motion[:2].reshape(2, -1), placement.angle)
+    motion[:2] = turned.reshape(2, 3, -1)
+    motion[:, 0] += np.append(placement.shift, altitude_offset)[:, None]
+    return _as_states(motion)
+
+
+def _draw(
+    rng: Generator,
+    smooth: SmoothTrack,
+    duration: float,
+    altitude_offset: float,
+    attempts: int = MAX_ATTEMPTS,
+) -> tuple[float, _Frame, Placement] | None:
+    """Draw where a window begins and is laid; None if none of the attempts fits."""
     check = np.linspace(0.0, duration, round(duration / CHECK_STEP) + 2)
-    for _ in range(MAX_ATTEMPTS):
+    for _ in range(attempts):
         start = smooth.random_start(rng, duration)
         to_ground = _Frame.below(smooth, start + 0.5 * duration)
         path = to_ground.apply(smooth._motion(start + check))[:, 0]
@@ -239,16 +283,23 @@ def window(
         # The window's middle is the frame's origin.
         placement = place(rng, path, np.zeros(2), WINDOW_RANGE)
         if placement is not None and path[2].min() > 0.0:
-            motion = to_ground.apply(smooth._motion(start + elapsed))
-            turned = turn(motion[:2].reshape(2, -1), placement.angle)
-            motion[:2] = turned.reshape(2, 3, -1)
-            motion[:, 0] += np.append(placement.shift, altitude_offset)[:, None]
-            return _as_states(motion)
-    raise RuntimeError(
-        f"none of {MAX_ATTEMPTS} windows of {duration:g} s stayed in the radar's coverage and "
-        f"above the ground at an altitude_offset of {altitude_offset:g} m; "
-        "ask for a shorter window or change the offset."
-    )
+            return start, to_ground, placement
+    return None
+
+
+def _remedy(smooth: SmoothTrack, duration: float, altitude_offset: float) -> str:
+    """What would let windows fit: another height, or else a shorter window."""
+    for length in (duration, *(float(int(share * duration)) for share in SHORTER)):
+        for offset in (altitude_offset, 0.0, *LOWERED):
+            draws = (
+                _draw(rng, smooth, length, offset, FEW_ATTEMPTS)
+                for rng in map(np.random.default_rng, range(3))
+            )
+            if all(draw is not None for draw in draws):
+                height = f"an altitude_offset of {offset:g} m" * (offset != altitude_offset)
+                shorter = f"a duration of {length:g} s" * (length < duration)
+                return f"{' and '.join(filter(None, (height, shorter)))} would fit"
+    return "take another flight, or give radar_position to see it where it was flown"
 
 
 def from_radar(smooth: SmoothTrack, radar: Site, time: ArrayLike) -> Array:
@@ -266,8 +317,8 @@ def from_radar(smooth: SmoothTrack, radar: Site, time: ArrayLike) -> Array:
         ValueError: if the times are unusable or leave the flight, or the radar's place
             is not one on Earth.
     """
-    _check_bounds("latitude of the radar", np.array([radar[0]]), 90.0)
-    _check_bounds("longitude of the radar", np.array([radar[1]]), 360.0)
+    check_degrees("latitude of the radar", np.array([radar[0]]), 90.0)
+    check_degrees("longitude of the radar", np.array([radar[1]]), 360.0)
     motion = smooth._motion(smooth._check(time))
     return _as_states(_Frame.between(smooth.origin, radar).apply(motion))
 
@@ -291,7 +342,7 @@ class _Frame:
         """Lead to the frame at height 0 below the aircraft, since down turns along its way."""
         import pymap3d
 
-        position = smooth._splines[0](time)
+        position = smooth._spline(time)
         latitude, longitude, _ = pymap3d.enu2geodetic(*position, *smooth.origin)
         return cls.between(smooth.origin, (float(latitude), float(longitude), 0.0))
 
@@ -304,58 +355,3 @@ class _Frame:
 
 def _as_states(motion: Array) -> Array:
     return motion.transpose(2, 0, 1).reshape(-1, 9)
-
-
-def _check_column(column: str, value: Array, rows: int) -> None:
-    if value.shape != (rows,):
-        raise ValueError(f"column {column!r} has shape {value.shape}, column 't' {rows} rows.")
-    if rows < MIN_REPORTS:
-        raise ValueError(f"a track needs at least {MIN_REPORTS} rows, got {rows}.")
-    bad = ~np.isfinite(value)
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise ValueError(
-            f"column {column!r} in data row {row + 1} is {value[row]}; leave such rows out."
-        )
-
-
-def _check_bounds(what: str, degrees: Array, most: float) -> None:
-    outside = ~(np.abs(degrees) <= most)
-    if outside.any():
-        raise ValueError(
-            f"{what} must be within {most:g} deg of zero, got {degrees[np.argmax(outside)]:g}."
-        )
-
-
-def _local(track: Track, origin: Site) -> Array:
-    """Return the reports (N, 3) east, north and up of the origin, m."""
-    import pymap3d
-
-    enu = pymap3d.geodetic2enu(track.latitude, track.longitude, track.altitude, *origin)
-    return np.stack(enu, axis=-1)
-
-
-def _without_outliers(time: Array, position: Array, cutoff: float) -> NDArray[np.bool_]:
-    """Say which reports lie near a spline that was fitted to these alone."""
-    kept = np.ones(time.size, dtype=bool)
-    for _ in range(OUTLIER_PASSES):
-        spline = _fit(time[kept], position[kept], cutoff)
-        away = np.linalg.norm(position - spline(time), axis=1)
-        kept = away <= max(OUTLIER_FACTOR * float(np.median(away)), OUTLIER_FLOOR)
-    if (~kept).mean() > MAX_OUTLIERS:
-        raise ValueError(
-            f"{(~kept).sum()} of {time.size} reports lie off the smoothed flight: the file "
-            f"mixes aircraft, or a cutoff of {cutoff:g} s is too long for its turns."
-        )
-    return kept
-
-
-def _fit(time: Array, position: Array, cutoff: float) -> BSpline:
-    from scipy.interpolate import BSpline, make_smoothing_spline
-
-    # Beside a gap a report stands for the seconds near it, not for half of the gap.
-    spacing = np.gradient(time)
-    weight = np.minimum(spacing, 3.0 * np.median(spacing))
-    penalty = (cutoff / (2.0 * np.pi)) ** 4
-    axes = [make_smoothing_spline(time, axis, w=weight, lam=penalty) for axis in position.T]
-    return BSpline(axes[0].t, np.stack([axis.c for axis in axes], axis=-1), 3)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import datetime, timedelta
-from functools import cached_property, lru_cache
+from functools import cached_property
 from os import PathLike
 from typing import ClassVar
 
@@ -25,6 +25,7 @@ from kfenv.models.gnss.pseudorange import CHANNELS, pseudoranges
 from kfenv.models.gnss.receiver import CLOCK_OFFSET, RATE_NOISE, range_deviation
 from kfenv.models.model import Motion, Sensor
 from kfenv.models.variable_turn import variable_turn
+from kfenv.scenarios import tracks
 from kfenv.scenarios.faults import Fault, Jamming
 from kfenv.scenarios.gnss.faults import (
     GNSS_FAULTS,
@@ -40,7 +41,7 @@ from kfenv.scenarios.gnss.log import GnssLog, log_of
 from kfenv.scenarios.gnss.satellite_channels import assign_channels, by_channel
 from kfenv.scenarios.recording import Recording
 from kfenv.scenarios.scenario import TrackingScenario
-from kfenv.scenarios.tracks import SmoothTrack, from_radar, load_track, smooth_track
+from kfenv.scenarios.tracks import CUTOFF, LONGEST_GAP, SmoothTrack, check_track, from_radar
 from kfenv.scenarios.trajectories import MAX_DURATION, paper_trajectory, random_trajectory
 
 Array = NDArray[np.float64]
@@ -74,6 +75,7 @@ class GnssTracking(TrackingScenario):
         ionosphere: share of the ionospheric delay that the corrections leave.
         troposphere: share of the standard tropospheric delay that they leave.
         track: path of a real flight's CSV file, flown at its own place.
+        cutoff, longest_gap: how it is smoothed, see `kfenv.scenarios.tracks.smooth_track`.
         rinex: paths of a real log's observation and navigation file, in place of all that
             is simulated; the receiver stood still. The log sets `rate`.
     """
@@ -89,6 +91,8 @@ class GnssTracking(TrackingScenario):
     ionosphere: float = 0.0
     troposphere: float = 0.0
     track: str | None = None
+    cutoff: float = CUTOFF
+    longest_gap: float = LONGEST_GAP
     rinex: Sequence[str] | None = None
 
     name: ClassVar[str] = "GnssTracking"
@@ -176,10 +180,9 @@ class GnssTracking(TrackingScenario):
         self.log.random_starts([], self.duration, "tuning")  # complains
 
     def _check_flight(self) -> None:
+        check_track(self, ("cutoff", "longest_gap"))
         if self.track is not None:
-            if not isinstance(self.track, str | PathLike):
-                raise ValueError(f"track must be the path of a CSV file, got {self.track!r}.")
-            _flight(self.track).random_start(np.random.default_rng(0), self.duration)  # complains
+            self._flight.random_start(np.random.default_rng(0), self.duration)  # complains
         elif self.faults != "paper" and self.duration > MAX_DURATION:
             raise ValueError(
                 f"A random flight lasts at most {MAX_DURATION:g} s, got duration="
@@ -240,11 +243,16 @@ class GnssTracking(TrackingScenario):
             return baseline_constellation()
         return read_yuma(self.almanac, near=_parsed(self.date)).usable()
 
+    @property
+    def _flight(self) -> SmoothTrack:
+        """The smoothed flight in the track file."""
+        return tracks.flight(self.track, self.cutoff, self.longest_gap)
+
     def trajectory(self, rng: Generator) -> Array:
         """Truth (T, 11): our trajectory B in the papers' case, the track, or a random flight."""
         place = self.place
         if self.track is not None:
-            flight = _flight(self.track)
+            flight = self._flight
             place = flight.origin
             start = flight.random_start(rng, self.duration)
             local = from_radar(flight, place, start + self.time)
@@ -361,9 +369,3 @@ def _parsed(date: str) -> datetime:
             f"like '2016-02-29T05:00', got {date!r}."
         )
     return parsed
-
-
-@lru_cache(maxsize=16)
-def _flight(path: str) -> SmoothTrack:
-    """The smoothed flight in a track file."""
-    return smooth_track(load_track(path))

@@ -5,8 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
-from os import PathLike
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -17,8 +16,10 @@ from kfenv.checks import is_number
 from kfenv.models.model import Sensor
 from kfenv.models.phased_array import PhasedArray, rain_transmission
 from kfenv.models.radar import radar
+from kfenv.scenarios import tracks
 from kfenv.scenarios.faults import Draft, Range, check_range, check_start
 from kfenv.scenarios.scenario import TrackingScenario
+from kfenv.scenarios.tracks import CUTOFF, LONGEST_GAP, check_track
 from kfenv.scenarios.trajectories import paper_trajectory
 
 Array = NDArray[np.float64]
@@ -110,20 +111,18 @@ class RadarScenario(TrackingScenario):
 
     track: str | None = None
     radar_position: tuple[float, float, float] | None = None
+    cutoff: float = CUTOFF
+    longest_gap: float = LONGEST_GAP
+    altitude_offset: float = 0.0
 
     circular: ClassVar[tuple[int, ...]] = (1,)  # the azimuth
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.track is not None and not isinstance(self.track, str | PathLike):
-            raise ValueError(f"track must be the path of a CSV file, got {self.track!r}.")
+        check_track(self, ("radar_position", "cutoff", "longest_gap", "altitude_offset"))
         self._check_radar_position()
-        if self.radar_position is not None and self.track is None:
-            raise ValueError(
-                "radar_position places a radar beside a real flight: give a track too."
-            )
         if self.track is not None:
-            _flight(self.track).random_start(np.random.default_rng(0), self.duration)  # complains
+            self._flown(np.random.default_rng(0))  # complains
 
     def _check_radar_position(self) -> None:
         place = self.radar_position
@@ -145,11 +144,13 @@ class RadarScenario(TrackingScenario):
         """Truth (T, 9) of one episode."""
         if self.track is None:
             return paper_trajectory("A", self.time)
-        from kfenv.scenarios import tracks
+        return self._flown(rng)
 
-        flight = _flight(self.track)
+    def _flown(self, rng: Generator) -> Array:
+        """A window of the track."""
+        flight = tracks.flight(self.track, self.cutoff, self.longest_gap)
         if self.radar_position is None:
-            return tracks.window(rng, flight, self.time)
+            return tracks.window(rng, flight, self.time, self.altitude_offset)
         start = flight.random_start(rng, self.duration)
         return tracks.from_radar(flight, self.radar_position, start + self.time)
 
@@ -164,11 +165,3 @@ class RadarScenario(TrackingScenario):
     def draft(self, truth: Array, rng: Generator) -> RadarDraft:
         """The clean episode."""
         return self.clean(RadarDraft, truth)
-
-
-@lru_cache(maxsize=16)
-def _flight(path: str):
-    """The smoothed flight in a track file."""
-    from kfenv.scenarios import tracks
-
-    return tracks.smooth_track(tracks.load_track(path))
