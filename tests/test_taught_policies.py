@@ -141,6 +141,16 @@ def test_an_agent_keeps_to_the_same_environment(tmp_path):
         assert _refusal(agent, RADAR, **kwargs) is None  # knobs are the policy's own
 
 
+@pytest.mark.parametrize(("own", "others"), [("short", "full"), ("full", "short")])
+def test_an_agent_brings_its_own_observation(own, others, tmp_path):
+    given = {"observation": own} if own != "short" else {}  # a policy may take it for granted
+    agent = Learned(trained_on(tmp_path / "policy.npz", RADAR, rate=2, duration=20, **given))
+    assert _refusal(agent, RADAR, observation=others) is None
+    place = {"rate": 2, "duration": 20, "observation": others}
+    scores = rollout(agent, RADAR, place, draw_episodes(RADAR, place, "test", 0, 2))
+    assert np.isfinite(scores.rmse).all()
+
+
 @pytest.mark.parametrize("name", ["RadarValidation", "BistaticTracking", "InsGnss"])
 def test_another_environment_refuses_it_and_says_why(name, tmp_path):
     agent = Learned(trained_on(tmp_path / "walker.npz", RADAR))
@@ -158,6 +168,7 @@ def test_another_observation_or_knob_refuses_it_and_says_which(tmp_path):
         return _refusal(Learned(write_policy(path, arrays, told | changes)), RADAR)
 
     assert refusal() is None
+    assert "its observation had" in refusal(env_kwargs={"observation": "full"})
     features = ("other", *policy.features[1:])
     assert "its observation had 'other' where there is 'range:" in refusal(features=features)
     knobs = (Knob("fading", 0.5, 20.0), *policy.knobs[1:])

@@ -32,11 +32,14 @@ VALIDATION_EPISODES = 100  # at most, on which training's result is scored
 def train(
     env: Environment,
     output: Annotated[Path, typer.Option(help="New folder for checkpoint, policy and logs.")],
-    algo: Annotated[str, typer.Option(help="'ppo' or 'sac'.")] = "ppo",
+    algo: Annotated[str, typer.Option(help="'ppo', 'sac' or 'recurrent-ppo'.")] = "ppo",
     steps: Annotated[int, typer.Option(min=1, help="Environment steps in all.")] = 5_000_000,
     seed: Seed = 0,
     config: Annotated[
         Path | None, typer.Option(help="TOML file with settings that differ from the defaults.")
+    ] = None,
+    init: Annotated[
+        Path | None, typer.Option(help="Start from this taught policy, a file or a folder.")
     ] = None,
     rate: Rate = None,
     faults: Faults = None,
@@ -53,7 +56,7 @@ def train(
             _check_validation(env, kwargs, seed)
         train_agent(
             env, algorithm=algo, steps=steps, seed=seed, output=output, env_kwargs=kwargs,
-            config_path=config, resume=resume,
+            config_path=config, init=init, resume=resume,
         )  # fmt: skip
         _validate(env, kwargs, seed, output)
     console.print(f"The policy is in {output / 'policy.npz'}; contest it with")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -238,11 +237,4 @@ def _continues(held: dict[str, Any], content: dict[str, Any]) -> bool:
 def _digests(contest: Contest) -> dict[str, str]:
     """A hash of each policy's numbers, so that a changed policy is another contest."""
     agents = [make_agent(name) for name in contest.all_agents]
-    digests = {}
-    for agent in agents:
-        if isinstance(agent, Learned):
-            digest = hashlib.sha256()
-            for array in agent.policy.network.parameters:
-                digest.update(array.tobytes())
-            digests[agent.name] = digest.hexdigest()
-    return digests
+    return {agent.name: agent.policy.digest for agent in agents if isinstance(agent, Learned)}

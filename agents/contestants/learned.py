@@ -14,15 +14,19 @@ from numpy.typing import NDArray
 
 from kfenv.envs.core import Core
 from kfenv.envs.knobs import MOST_FADING, Knob
-from kfenv.envs.options import Options
+from kfenv.envs.options import SHORT, Options
 from kfenv.scenarios.recording import Recording
 
 from .agent import Agent, Array, Briefing
 from .policy import NumpyPolicy
 
 # What a policy was trained with and must be evaluated with, and its default.
-OWN_OPTIONS = {"actions": None, "decision_interval": None, "most_fading": MOST_FADING}
-LAYOUT = "observation"  # another such option, where the policy names it
+OWN_OPTIONS = {
+    "observation": SHORT,
+    "actions": None,
+    "decision_interval": None,
+    "most_fading": MOST_FADING,
+}
 
 
 class Learned(Agent):
@@ -44,9 +48,13 @@ class Learned(Agent):
     @property
     def own_options(self) -> dict[str, Any]:
         """Those that the policy was trained with."""
+        return OWN_OPTIONS | self.given_options
+
+    @property
+    def given_options(self) -> dict[str, Any]:
+        """Those of them that are no defaults."""
         kwargs = self.policy.env_kwargs
-        own = {name: kwargs.get(name, default) for name, default in OWN_OPTIONS.items()}
-        return own | ({LAYOUT: kwargs[LAYOUT]} if LAYOUT in kwargs else {})
+        return {name: kwargs[name] for name in OWN_OPTIONS if name in kwargs}
 
     def with_values(self, values: Mapping[str, float]) -> Learned:
         """Itself: a policy has no parameters."""
@@ -59,16 +67,28 @@ class Learned(Agent):
             ValueError: if the policy was trained on an environment of another kind, or of
                 another observation or other knobs.
         """
-        if _scenario_class(self.policy.env_id) is not type(scenario):
-            raise self._refusal(f"this is {scenario.name}")
+        self._check_kind(scenario)
         try:
             options = replace(options, recording=None, **self.own_options)
             core = Core(scenario, options, 1, recording.time, has_truth=False)
         except (TypeError, ValueError) as error:
             raise self._refusal(f"its options are refused: {error}") from None
+        self.check_fits(core)
+
+    def check_fits(self, core: Core) -> None:
+        """Complain if what an environment's core shows and takes is not the policy's.
+
+        Raises:
+            ValueError: in one sentence.
+        """
+        self._check_kind(core.scenario)
         policy, knobs = self.policy, _in_words(core.knobs)
         self._compare("observation", policy.features, policy.observation_size, core.feature_names())
         self._compare("knobs", _in_words(policy.knobs), policy.action_size, knobs)
+
+    def _check_kind(self, scenario: Any) -> None:
+        if _scenario_class(self.policy.env_id) is not type(scenario):
+            raise self._refusal(f"this is {scenario.name}")
 
     def _compare(self, what: str, trained: Sequence[str], size: int, met: Sequence[str]) -> None:
         """Complain of the first difference; an old file tells no more than the size."""

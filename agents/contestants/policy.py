@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass
@@ -68,6 +69,12 @@ class NumpyPolicy:
     def action_size(self) -> int:
         """Length of one action."""
         return self.network.action_size
+
+    @property
+    def digest(self) -> str:
+        """A hash of all that training chose."""
+        parts = (array.tobytes() for array in self.network.parameters)
+        return hashlib.sha256(b"".join(parts)).hexdigest()
 
     def start(self, batch: int) -> Array:
         """The memory (B, H) of episodes that begin; (B, 0) for a policy without any."""

@@ -11,17 +11,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from stable_baselines3 import PPO, SAC
+from stable_baselines3 import SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
 from ..files import write_json, written_whole
 from .export import export_policy, layout
+from .models import model_class
 from .progress import TrainingProgress
 from .settings import Settings
 from .stable_baselines import VectorEnvAdapter
 
-MODELS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
 LARGEST_REPLAY_BUFFER = 2**29  # bytes that a checkpoint may take
 CURVE_POINTS = 200  # in the learning curve of a run, about
 
@@ -29,7 +29,7 @@ CURVE_POINTS = 200  # in the learning curve of a run, about
 def load_checkpoint(folder: Path, algorithm: str, env: VectorEnvAdapter) -> BaseAlgorithm:
     """Load the checkpoint, and the replay buffer if there is one."""
     try:
-        model = MODELS[algorithm].load(folder / "checkpoint.zip", env=env, device="cpu")
+        model = model_class(algorithm).load(folder / "checkpoint.zip", env=env, device="cpu")
         if isinstance(model, SAC) and (folder / "replay_buffer.pkl").exists():
             model.load_replay_buffer(folder / "replay_buffer.pkl")
         elif isinstance(model, SAC):
@@ -130,7 +130,7 @@ class Bookkeeper(BaseCallback):
                 self.model.save_replay_buffer(file)
         with written_whole(self.folder / "checkpoint.zip") as file:
             self.model.save(file)
-        about = {**self.config, **layout(self.training_env.env)}
+        about = {**self.config, **layout(self.training_env.core)}
         about |= {"steps_done": steps, "finished": finished}
         export_policy(self.model, self.folder / "policy.npz", about)
         record = {

@@ -7,6 +7,8 @@ from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
+from kfenv.envs.core import Core
+
 from ..contestants.networks import ACTIVATIONS, ALGORITHMS, ActionNetwork
 from ..contestants.policy import write_policy
 
@@ -14,7 +16,7 @@ OF_ENVIRONMENT = ("env_id", "env_kwargs", "features", "knobs")
 
 
 def export_policy(model: Any, path: str | Path, metadata: Mapping[str, Any]) -> Path:
-    """Write the actor of a stable-baselines3 PPO or SAC `model` as plain arrays to `path`.
+    """Write the actor of a stable-baselines3 model as plain arrays to `path`.
 
     `metadata` must hold `env_id` and `env_kwargs`, and of an environment of kfenv what `layout`
     says; whatever else it holds is kept. All of it must be plain JSON. The same policy gives the
@@ -22,12 +24,13 @@ def export_policy(model: Any, path: str | Path, metadata: Mapping[str, Any]) -> 
     """
     about = {key: metadata[key] for key in OF_ENVIRONMENT if key in metadata}
     rest = {key: value for key, value in metadata.items() if key not in OF_ENVIRONMENT}
-    return write_policy(path, _arrays(model), {**about, "metadata": rest})
+    taught = getattr(model.policy, "network", None)
+    arrays = _arrays(model) if taught is None else taught.arrays()
+    return write_policy(path, arrays, {**about, "metadata": rest})
 
 
-def layout(env: Any) -> dict[str, Any]:
+def layout(core: Core | None) -> dict[str, Any]:
     """The features that an environment of kfenv shows and its knobs; nothing of others."""
-    core = getattr(env.unwrapped, "core", None)
     if core is None:
         return {}
     return {"features": core.feature_names(), "knobs": [astuple(knob) for knob in core.knobs]}

@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from .settings import RECURRENT_PPO
+
 
 class TrainingInterrupted(KeyboardInterrupt):
     """Ctrl-C in a training run; the checkpoint is saved, and the message says how to go on."""
@@ -26,7 +28,8 @@ def describe_run(
     env_id: str, env_kwargs: Mapping[str, Any], algorithm: str, settings: Any, seed: int
 ) -> dict[str, Any]:
     """All that is needed to repeat a run, but its length, as plain JSON."""
-    packages = ("kfenv", "numpy", "gymnasium", "stable_baselines3", "torch")
+    packages = ["kfenv", "numpy", "gymnasium", "stable_baselines3", "torch"]
+    packages += ["sb3_contrib"] if algorithm == RECURRENT_PPO else []
     config = {
         "env_id": env_id,
         "env_kwargs": dict(env_kwargs),
@@ -83,7 +86,7 @@ def _check_same_run(folder: Path, config: Mapping[str, Any]) -> None:
 
 def _flat(config: Mapping[str, Any]) -> dict[str, Any]:
     """The entries that a resumed run must share, with one-level names."""
-    flat = {key: config.get(key) for key in ("env_id", "algorithm", "seed")}
+    flat = {key: config.get(key) for key in ("env_id", "algorithm", "seed", "init")}
     for group in ("env_kwargs", "settings", "curriculum"):
         flat |= {f"{group}.{key}": value for key, value in config.get(group, {}).items()}
     return flat

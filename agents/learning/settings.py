@@ -23,7 +23,9 @@ class Settings(ABC):
     num_envs: int
     """Sub-environments stepped together."""
     hidden: list[int]
-    """Width of each hidden layer; policy and value have a network each."""
+    """Width of each hidden layer; policy and value have a network each. Under recurrent-ppo the
+    first is the width of the policy too, and of the value's memory; a policy that a run starts
+    from keeps its own."""
     activation: str
     """"tanh" or "relu"."""
     learning_rate: float
@@ -126,7 +128,12 @@ class SACSettings(Settings):
         _within(self, 0.0, 1.0, "tau", "first_entropy_coefficient")
 
 
-ALGORITHMS: dict[str, type[Settings]] = {"ppo": PPOSettings, "sac": SACSettings}
+RECURRENT_PPO = "recurrent-ppo"
+ALGORITHMS: dict[str, type[Settings]] = {
+    "ppo": PPOSettings,
+    "sac": SACSettings,
+    RECURRENT_PPO: PPOSettings,
+}
 
 
 def read_settings(

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
+from kfenv.envs.core import Core
+
 Indices = None | int | Iterable[int]
 
 
@@ -55,6 +57,11 @@ class VectorEnvAdapter(VecEnv):
         self._start = time.monotonic()
         self._returns = np.zeros(self.num_envs)
         self._lengths = np.zeros(self.num_envs, dtype=np.int64)
+
+    @property
+    def core(self) -> Core | None:
+        """Of an environment of kfenv."""
+        return getattr(self.env.unwrapped, "core", None)
 
     def reset(self) -> NDArray[Any]:
         """Start every episode anew, with the seed and options last given."""

@@ -22,23 +22,21 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 try:
-    import torch
-    from stable_baselines3 import PPO, SAC
-    from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.logger import configure
-    from stable_baselines3.common.utils import LinearSchedule
 except ImportError as error:
     raise ImportError(
         f"Training needs stable-baselines3 and torch ({error}): pip install -e '.[train]'."
     ) from error
 
 from ..contest.rollout import find_spec
+from ..contestants.learned import Learned
 from ..files import write_json
 from .checkpoints import Bookkeeper, load_checkpoint
+from .models import check_start, model_class, new_model
 from .progress import TrainingProgress
 from .runs import TrainingInterrupted, admit, ctrl_c_as_event, describe_run, torch_threads
 from .scaling import is_of_kfenv, reward_of, scaling_for
-from .settings import PPOSettings, SACSettings, Settings, read_settings
+from .settings import RECURRENT_PPO, Settings, read_settings
 from .stable_baselines import VectorEnvAdapter
 
 
@@ -52,6 +50,7 @@ def train(
     env_kwargs: Mapping[str, Any] | None = None,
     num_envs: int | None = None,
     config_path: str | Path | None = None,
+    init: str | Path | None = None,
     progress: bool = True,
     resume: bool = False,
 ) -> Path:
@@ -59,7 +58,7 @@ def train(
 
     Args:
         env_id: Id of a registered environment, with a flat `Box` to observe and to act.
-        algorithm: "ppo" or "sac".
+        algorithm: "ppo", "sac" or "recurrent-ppo".
         steps: Environment steps over all sub-environments, rounded up to whole updates.
         seed: The same seed gives the same policy, on the same machine and libraries.
         output: A new or empty folder, or with `resume` that of an earlier run.
@@ -67,6 +66,8 @@ def train(
             "improvement", which has far less variance than the default, unless one is given.
         num_envs: Overrides the setting of that name.
         config_path: TOML file with settings that differ from the bundled ones.
+        init: A taught policy to start from: one with a memory for "recurrent-ppo", one without for
+            the others. Options of the environment that belong to it need not be given again.
         progress: Show a progress bar if the standard error stream is a terminal.
         resume: Go on from the checkpoint in `output`. Everything but `steps` must be as before.
             The environments start new episodes, so the policy differs from an uninterrupted run's.
@@ -77,18 +78,25 @@ def train(
         ValueError: An argument or a setting is wrong; the message says which and what to do.
     """
     _check_counts(steps, seed)
-    env_kwargs = with_training_reward(env_id, env_kwargs or {})
+    start = _read_start(init, algorithm, env_id)
+    own = {} if start is None else start.given_options
+    env_kwargs = with_training_reward(env_id, {**own, **(env_kwargs or {})})
     reward = reward_of(env_id, env_kwargs)
     settings = read_settings(algorithm, config_path, reward, **_given(num_envs=num_envs))
+    model_class(algorithm)
     config = describe_run(env_id, env_kwargs, algorithm, settings, seed) | {"steps": steps}
+    if start is not None:
+        config["init"] = start.policy.digest
     folder = Path(output)
     admit(folder, config, resume)
     env = make_training_env(env_id, env_kwargs, settings)
     try:
+        if start is not None:
+            check_start(algorithm, start, env.core)
         folder.mkdir(parents=True, exist_ok=True)
         write_json(folder / "config.json", config)
         with torch_threads(settings.torch_threads):
-            _run(folder, config, settings, env, progress)
+            _run(folder, config, settings, env, start, progress)
     finally:
         env.close()
     return folder / "policy.npz"
@@ -136,63 +144,18 @@ def _check_counts(steps: int, seed: int) -> None:
         raise ValueError(f"seed = {seed} must be zero or a positive whole number")
 
 
+def _read_start(init: str | Path | None, algorithm: str, env_id: str) -> Learned | None:
+    """The policy to start from, if there is one."""
+    if (init is not None or algorithm == RECURRENT_PPO) and not is_of_kfenv(env_id):
+        raise ValueError(
+            "recurrent-ppo and the start from a policy are for environments of kfenv, whose knobs "
+            "the network sets: train with ppo or sac, from scratch"
+        )
+    return None if init is None else Learned(init)
+
+
 def _given(**values: Any) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
-
-
-# The model
-
-
-def _new_model(settings: Settings, env: VectorEnvAdapter, seed: int) -> BaseAlgorithm:
-    """Make an untrained model."""
-    rate = LinearSchedule(settings.learning_rate, settings.final_learning_rate, 1.0)
-    policy_kwargs: dict[str, Any] = {
-        "net_arch": settings.hidden,
-        "activation_fn": {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}[settings.activation],
-    }
-    common: dict[str, Any] = {
-        "policy": "MlpPolicy",
-        "env": env,
-        "learning_rate": rate,
-        "gamma": settings.gamma,
-        "policy_kwargs": policy_kwargs,
-        "stats_window_size": max(100, settings.num_envs),
-        "seed": seed,
-        "device": "cpu",
-    }
-    if isinstance(settings, PPOSettings):
-        policy_kwargs["log_std_init"] = settings.log_std_init
-        return PPO(**common, **_ppo_arguments(settings))
-    assert isinstance(settings, SACSettings)
-    model = SAC(**common, **_sac_arguments(settings))
-    # stable-baselines3 has no option for this; its own start, near 1, saturates every action.
-    torch.nn.init.constant_(model.actor.log_std.bias, settings.log_std_init)
-    return model
-
-
-def _ppo_arguments(settings: PPOSettings) -> dict[str, Any]:
-    return {
-        "n_steps": settings.n_steps,
-        "batch_size": settings.block // settings.minibatches,
-        "n_epochs": settings.epochs,
-        "gae_lambda": settings.gae_lambda,
-        "clip_range": settings.clip_range,
-        "ent_coef": settings.entropy_coefficient,
-        "vf_coef": settings.value_coefficient,
-        "max_grad_norm": settings.max_gradient_norm,
-    }
-
-
-def _sac_arguments(settings: SACSettings) -> dict[str, Any]:
-    return {
-        "train_freq": settings.train_every,
-        "gradient_steps": settings.gradient_steps,
-        "batch_size": settings.batch_size,
-        "buffer_size": settings.buffer_size,
-        "learning_starts": settings.learning_starts,
-        "tau": settings.tau,
-        "ent_coef": f"auto_{settings.first_entropy_coefficient}",
-    }
 
 
 # The run
@@ -203,6 +166,7 @@ def _run(
     config: Mapping[str, Any],
     settings: Settings,
     env: VectorEnvAdapter,
+    start: Learned | None,
     progress: bool,
 ) -> None:
     """Train from the start or the checkpoint to the last step, and save."""
@@ -211,7 +175,7 @@ def _run(
         model = load_checkpoint(folder, algorithm, env)
         model.set_random_seed(training_seed(seed, model.num_timesteps))
     else:
-        model = _new_model(settings, env, training_seed(seed))
+        model = new_model(algorithm, settings, env, training_seed(seed), start)
     model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
     total = math.ceil(config["steps"] / settings.block) * settings.block
     with (
@@ -222,7 +186,7 @@ def _run(
         model.learn(
             max(0, total - model.num_timesteps),
             callback=keeper,
-            log_interval=1 if algorithm == "ppo" else settings.num_envs,
+            log_interval=settings.num_envs if algorithm == "sac" else 1,
             reset_num_timesteps=False,
         )
         keeper.finish()
