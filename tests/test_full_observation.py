@@ -36,6 +36,8 @@ SPOILT = {
     "signal_loss": {"duration": [0.3, 0.8]},
 }
 
+RADAR = make(TRACKING).scenario
+
 
 def full(env_id, **keywords):
     return make(env_id, observation="full", **keywords)
@@ -193,12 +195,18 @@ def test_a_state_without_acceleration_lets_its_velocity_tell():
             pending = pending_of(mean, np.full((1, m), np.nan), np.ones((1, m)))
             told = Measurement(np.zeros((1, 0)), np.full((1, m), np.nan), np.ones((1, m)))
             memory.collect(pending, told, np.full(1, dt * (k > 0)), np.ones(1, bool))
-        seen = memory.observe(pending, told.noise, np.zeros(1, np.int64), np.ones(1, bool))
+        seen = features(memory, pending)
         assert seen[0, -1] == pytest.approx(np.log1p(3.0 / (0.01 * scenario.error_scale)), rel=1e-3)
 
 
 def pending_of(mean, innovation, variance):
     return Update(mean, None, innovation, variance, *[None] * 3)
+
+
+def features(memory, pending):
+    seen = np.zeros((1, len(memory.feature_names())))
+    memory.observe(pending.mean, np.zeros(1, np.int64), np.ones(1, bool), seen)
+    return seen
 
 
 @every_environment
@@ -301,7 +309,7 @@ def test_a_failed_filter_tells_nothing_and_harms_nobody():
     variance=st.floats(1e-12, 1e12), noise=st.floats(1e-6, 1e6),
 )  # fmt: skip
 def test_any_innovation_leaves_it_finite(values, variance, noise):
-    scenario = RADAR.scenario
+    scenario = RADAR
     memory = Memory(scenario, np.arange(3), np.ones(1), 1)
     memory.restart(np.zeros(1, np.int64), np.zeros((1, 9)))
     for k in range(len(values) // 3):
@@ -309,12 +317,9 @@ def test_any_innovation_leaves_it_finite(values, variance, noise):
         pending = pending_of(np.zeros((1, 9)), innovation, np.full((1, 3), variance))
         told = Measurement(np.zeros((1, 0)), innovation, np.full((1, 3), noise))
         memory.collect(pending, told, np.ones(1), np.ones(1, bool))
-        seen = memory.observe(pending, told.noise, np.zeros(1, np.int64), np.ones(1, bool))
+        seen = features(memory, pending)
         shares = [i for i, name in enumerate(memory.feature_names()) if "share" in name]
         assert (np.abs(np.delete(seen, shares, axis=1)) <= BOUND).all()
-
-
-RADAR = make(TRACKING)
 
 
 @every_environment

@@ -289,22 +289,19 @@ class Core:
 
     def observation(self) -> NDArray[np.float32]:
         """A fresh (B, D) array; see `feature_names`."""
-        out = np.zeros((self.batch, self.observation_size))
+        out, pends = np.zeros((self.batch, self.observation_size)), self._pends
         statistics.observe(
             self._pending.whitened, self._pending.variance, self._gather("noise"),
             self._pending.factor, self._position, self._velocity, self.scenario.error_scale,
-            self._group, self._statistics, self._since, self._pends, out,
+            self._group, self._statistics, self._since, pends, out,
         )  # fmt: skip
-        more = []
+        rest = out[:, self._statistics.shape[1] * statistics.PER_GROUP + statistics.COMMON :]
         if self._channels is not None:
-            more.append(self._channels.observe(self._pends))
+            told = self._channels.observe(pends)
+            rest[:, : told.shape[1]] = told
+            rest = rest[:, told.shape[1] :]
         if self._memory is not None:
-            more.append(self._memory.observe(
-                self._pending, self._gather("noise"), self._instant, self._pends
-            ))  # fmt: skip
-        if more:
-            begin = len(self.scenario.sensor.groups) * statistics.PER_GROUP + statistics.COMMON
-            out[:, begin : -len(self.knobs)] = np.concatenate(more, axis=1)
+            self._memory.observe(self._pending.mean, self._instant, pends, rest)
         out[:, -len(self.knobs) :] = self._action
         out[self.status != 0] = 0.0
         return out.astype(np.float32)

@@ -7,7 +7,7 @@ and its estimate. One filter after the other in plain loops, as in `kfenv.envs.s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import exp, isnan, log, log1p, sqrt
+from math import exp, isnan, log, log1p, nan, sqrt
 from typing import Any
 
 import numpy as np
@@ -27,17 +27,18 @@ Array = NDArray[np.float64]
 SQUARES, SIGNED, RATIOS, PRODUCTS = (3.0, 10.0, 30.0), (3.0, 10.0), (5.0, 20.0), 10.0
 SMOOTHING = 1.0  # s, of an acceleration that the state does not hold
 MOST = exp(BOUND)  # of a ratio: its log ends there
-# Columns of a group: a mean per window, then the first told noise (0: none yet)
+# Columns of a channel: means of n, then the others; n now is NaN where it is missing
+LOG = len(SIGNED)
+SQUARE, LAST, NOW, OVER, SHARE, LAGGED, CHANNEL_COLUMNS = range(LOG + 2, LOG + 9)
+# and of a group: means of squares, then of signs, logs and products, the first told noise
+# (the log of its square, NaN where there is none yet), and four features of the present
 SIGN = len(SQUARES)
 RATIO = SIGN + len(SIGNED)
-PRODUCT, TOLD, COLUMNS = RATIO + 2, RATIO + 3, RATIO + 4
-# and of a channel
-LOG = len(SIGNED)
-SQUARE, LAST, CHANNEL_COLUMNS = LOG + 2, LOG + 3, LOG + 4
+PRODUCT, TOLD, PRESENT = range(RATIO + 2, RATIO + 5)
+COLUMNS = PRESENT + 4
 COMMON = 4
 PER_CHANNEL = len(RATIOS) + len(SIGNED) + 3  # of those that have a knob
 STILL = np.zeros(3)
-NOTHING = (0.0, 0.0, 0.0, 0.0, 0.0, 0)  # `_present` where nothing is
 
 
 class Memory:
@@ -60,7 +61,6 @@ class Memory:
         self._channels = np.zeros((batch, len(sensor.channels), CHANNEL_COLUMNS))
         self._groups = np.zeros((batch, len(sensor.groups), COLUMNS))
         self._origin, self._last, self._change = np.zeros((3, batch, 3))
-        self._features = np.zeros((batch, len(self.feature_names())))
 
     def restart(self, chosen: NDArray[np.int64], mean: Array) -> None:
         """Forget the episodes of these filters; new ones begin at the estimates (C, n)."""
@@ -68,6 +68,7 @@ class Memory:
         self._channels[chosen, :, SQUARE] = 1.0
         self._groups[chosen] = 0.0
         self._groups[chosen, :, : len(SQUARES)] = 1.0
+        self._groups[chosen, :, TOLD] = np.nan
         self._change[chosen] = 0.0
         for place, start in zip(chosen, mean[:, self._position], strict=True):
             self._origin[place] = self._scenario.local_frame(start)[0]
@@ -84,36 +85,31 @@ class Memory:
             active: (B,) which filters.
         """
         remember(
-            pending.innovation, pending.variance, told.noise, self._group, active,
+            pending.innovation, pending.variance, told.noise, self._group, self._chosen, active,
             self._channels, self._groups,
         )  # fmt: skip
         if not len(self._acceleration):
             differentiate(pending.mean, self._velocity, dt, active, self._last, self._change)
 
     def observe(
-        self, pending: Update, noise: Array, instant: NDArray[np.int64], pends: NDArray[np.bool_]
-    ) -> Array:
-        """The features (B, D), valid until the next call.
+        self, mean: Array, instant: NDArray[np.int64], pends: NDArray[np.bool_], out: Array
+    ) -> None:
+        """Write the features into the first columns of (B, D).
 
         Args:
-            pending: with nominal knobs.
-            noise: (B, m) deviations that the filter is told.
-            instant: (B,) indices of the instants.
-            pends: (B,) whether a measurement waits for its update.
+            mean: (B, n) predicted for the instants.
+            instant: (B,) their indices.
+            pends: (B,) whether the measurement last collected waits for its update.
+            out: (B, D) with a column for each feature at least.
         """
-        now = pending.innovation, pending.variance, noise
-        at = tell_groups(
-            *now, self._group, self._size, pends, self._channels, self._groups, self._features
-        )
-        held, known = self._held[instant], len(self._acceleration) > 0
-        turn = (pending.mean, self._acceleration) if known else (self._change, np.arange(3))
+        at = tell_groups(self._group, self._size, pends, self._channels, self._groups, out)
+        known = len(self._acceleration) > 0
+        turn = (mean, self._acceleration) if known else (self._change, np.arange(3))
         tell_motion(
-            pending.mean, self._position, self._velocity, self._origin, *turn,
-            self._scenario.error_scale, held, self._features[:, at:],
+            mean, self._position, self._velocity, self._origin, *turn,
+            self._scenario.error_scale, self._held[instant], out[:, at:],
         )  # fmt: skip
-        alone = self._features[:, at + COMMON :]
-        tell_channels(*now, self._chosen, pends, self._channels, alone)
-        return self._features
+        tell_channels(self._chosen, pends, self._channels, out[:, at + COMMON :])
 
     def feature_names(self) -> tuple[str, ...]:
         """What each of them is."""
@@ -182,121 +178,108 @@ def of_channel() -> tuple[str, ...]:
 
 
 @njit(cache=True)
-def remember(innovation, variance, noise, group_of_channel, active, channels, groups):
+def remember(innovation, variance, noise, group_of_channel, chosen, active, channels, groups):
     """Take the innovations (B, m) of the active filters into the memory."""
     for b in range(innovation.shape[0]):
         if not active[b]:
             continue
+        for c in range(innovation.shape[1]):
+            row = channels[b, c]
+            row[NOW] = nan
+            if not isnan(innovation[b, c]):
+                value = _capped(innovation[b, c] / sqrt(variance[b, c]))
+                row[NOW] = value
+                row[OVER] = _capped(innovation[b, c] / noise[b, c]) ** 2
+                row[SHARE] = noise[b, c] ** 2 / variance[b, c]
+                row[LAGGED] = value * row[LAST]
+                row[LAST] = value
+                for w in range(len(SIGNED)):
+                    row[w] += (value - row[w]) / SIGNED[w]
+        for k in range(chosen.shape[0]):
+            row = channels[b, chosen[k]]
+            if not isnan(row[NOW]):
+                for w in range(len(RATIOS)):
+                    row[LOG + w] += (_log_root(row[OVER]) - row[LOG + w]) / RATIOS[w]
+                row[SQUARE] += (row[NOW] ** 2 - row[SQUARE]) / SQUARES[1]
         for g in range(groups.shape[1]):
-            total, square, _, ratio, told, count = _present(
-                innovation[b], variance[b], noise[b], group_of_channel, g
-            )
-            if count == 0:
-                continue
-            product = 0.0
-            for c in range(innovation.shape[1]):
-                if group_of_channel[c] == g and not isnan(innovation[b, c]):
-                    value = _ratio(innovation[b, c], sqrt(variance[b, c]))
-                    product += value * channels[b, c, LAST]
-                    _remember_one(value, innovation[b, c], noise[b, c], channels[b, c])
-            row = groups[b, g]
-            for w in range(len(SQUARES)):
-                row[w] += (square - row[w]) / SQUARES[w]
-            for w in range(len(SIGNED)):
-                row[SIGN + w] += (total - row[SIGN + w]) / SIGNED[w]
-            for w in range(len(RATIOS)):
-                row[RATIO + w] += (_log_root(ratio) - row[RATIO + w]) / RATIOS[w]
-            row[PRODUCT] += (product / count - row[PRODUCT]) / PRODUCTS
-            if row[TOLD] == 0.0:
-                row[TOLD] = told
+            _remember_group(noise, group_of_channel, channels, b, g, groups)
 
 
 @njit
-def _remember_one(value, innovation, noise, row):
-    for w in range(len(SIGNED)):
-        row[w] += (value - row[w]) / SIGNED[w]
-    told = _log_root(_ratio(innovation, noise) ** 2)
-    for w in range(len(RATIOS)):
-        row[LOG + w] += (told - row[LOG + w]) / RATIOS[w]
-    row[SQUARE] += (value * value - row[SQUARE]) / SQUARES[1]
-    row[LAST] = value
-
-
-@njit
-def _present(innovation, variance, noise, group_of_channel, g):
-    """Of a group's channels that arrived.
-
-    Returns:
-        Sum of n over the root of their number, mean and largest of n^2, mean of the squares over
-        the told noise, RMS of the told noise, and their number.
-    """
-    total, square, largest, ratio, told, count = 0.0, 0.0, 0.0, 0.0, 0.0, 0
-    for c in range(innovation.shape[0]):
-        if group_of_channel[c] == g and not isnan(innovation[c]):
-            value = _ratio(innovation[c], sqrt(variance[c]))
+def _remember_group(noise, group_of_channel, channels, b, g, groups):
+    total, square, largest, over, lagged, told, count = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0
+    for c in range(group_of_channel.shape[0]):
+        if group_of_channel[c] == g and not isnan(channels[b, c, NOW]):
+            value = channels[b, c, NOW]
             total += value
             square += value * value
             largest = max(largest, value * value)
-            ratio += _ratio(innovation[c], noise[c]) ** 2
-            told += noise[c] ** 2
+            over += channels[b, c, OVER]
+            lagged += channels[b, c, LAGGED]
+            told += noise[b, c] ** 2
             count += 1
-    many = max(count, 1)
-    return total / sqrt(many), square / many, largest, ratio / many, sqrt(told / many), count
+    row = groups[b, g]
+    row[PRESENT : PRESENT + 4] = 0.0
+    if count == 0:
+        return
+    row[PRESENT] = _log_root(square / count)
+    row[PRESENT + 1] = _log_root(largest)
+    row[PRESENT + 2] = _log_root(over / count)
+    told = log(told / count)
+    if isnan(row[TOLD]):
+        row[TOLD] = told
+    row[PRESENT + 3] = bounded(0.5 * (told - row[TOLD]))
+    for w in range(len(SQUARES)):
+        row[w] += (square / count - row[w]) / SQUARES[w]
+    for w in range(len(SIGNED)):
+        row[SIGN + w] += (total / sqrt(count) - row[SIGN + w]) / SIGNED[w]
+    for w in range(len(RATIOS)):
+        row[RATIO + w] += (row[PRESENT + 2] - row[RATIO + w]) / RATIOS[w]
+    row[PRODUCT] += (lagged / count - row[PRODUCT]) / PRODUCTS
 
 
 @njit(cache=True)
-def tell_groups(
-    innovation, variance, noise, group_of_channel, size, pends, channels, groups, out
-):  # fmt: skip
+def tell_groups(group_of_channel, size, pends, channels, groups, out):
     """Write what is told of the groups, zero for the present where nothing pends.
 
     Returns:
         The number of features.
     """
     at = 0
-    for b in range(innovation.shape[0]):
+    for b in range(groups.shape[0]):
         at = 0
         for g in range(groups.shape[1]):
             if size[g] > AXES:
-                at = _tell_signed(groups[b, g, SIGN:RATIO], out[b], at)
+                for w in range(len(SIGNED)):
+                    out[b, at + w] = signed_log(groups[b, g, SIGN + w])
+                at += len(SIGNED)
             else:
-                for c in range(innovation.shape[1]):
+                for c in range(channels.shape[1]):
                     if group_of_channel[c] == g:
-                        here = pends[b] and not isnan(innovation[b, c])
-                        out[b, at] = signed_log(channels[b, c, LAST]) if here else 0.0
-                        at = _tell_signed(channels[b, c, :LOG], out[b], at + 1)
-            present = NOTHING
-            if pends[b]:
-                present = _present(innovation[b], variance[b], noise[b], group_of_channel, g)
-            at = _tell_sizes(present, size[g], groups[b, g], out[b], at)
+                        now = channels[b, c, NOW]
+                        out[b, at] = signed_log(now) if pends[b] and not isnan(now) else 0.0
+                        for w in range(len(SIGNED)):
+                            out[b, at + 1 + w] = signed_log(channels[b, c, w])
+                        at += 1 + len(SIGNED)
+            at = _tell_sizes(groups, size[g], pends, b, g, out, at)
     return at
 
 
 @njit
-def _tell_sizes(present, size, row, out, at):
-    _, square, largest, ratio, told, count = present
-    here = count > 0
-    out[at] = _log_root(square) if here else 0.0
-    if size > 1:
-        at += 1
-        out[at] = _log_root(largest) if here else 0.0
-    out[at + 1] = _log_root(ratio) if here else 0.0
-    out[at + 2] = bounded(log(told / row[TOLD])) if here else 0.0
-    at += 3
+def _tell_sizes(groups, size, pends, b, g, out, at):
+    row = groups[b, g]
+    for i in range(4):
+        if i != 1 or size > 1:  # alone it is the largest
+            out[b, at] = row[PRESENT + i] if pends[b] else 0.0
+            at += 1
     for w in range(len(SQUARES)):
-        out[at + w] = _log_root(row[w])
+        out[b, at + w] = _log_root(row[w])
     at += len(SQUARES)
     for w in range(len(RATIOS)):
-        out[at + w] = row[RATIO + w]
-    out[at + len(RATIOS)] = signed_log(row[PRODUCT])
-    return at + len(RATIOS) + 1
-
-
-@njit
-def _tell_signed(means, out, at):
-    for w in range(means.shape[0]):
-        out[at + w] = signed_log(means[w])
-    return at + means.shape[0]
+        out[b, at + w] = row[RATIO + w]
+    at += len(RATIOS)
+    out[b, at] = signed_log(row[PRODUCT])
+    return at + 1
 
 
 @njit(cache=True)
@@ -315,20 +298,22 @@ def tell_motion(
 
 
 @njit(cache=True)
-def tell_channels(innovation, variance, noise, chosen, pends, channels, out):
+def tell_channels(chosen, pends, channels, out):
     """Write what is told of the single channels that have a knob."""
-    for b in range(innovation.shape[0]):
+    for b in range(channels.shape[0]):
         for k in range(chosen.shape[0]):
-            c, at = chosen[k], k * PER_CHANNEL
-            row = channels[b, c]
-            here = pends[b] and not isnan(innovation[b, c])
-            ratio = _ratio(innovation[b, c], noise[b, c]) if here else 0.0
-            out[b, at] = _log_root(ratio * ratio) if here else 0.0
+            row, at = channels[b, chosen[k]], k * PER_CHANNEL
+            here = pends[b] and not isnan(row[NOW])
+            out[b, at] = _log_root(row[OVER]) if here else 0.0
+            at += 1
             for w in range(len(RATIOS)):
-                out[b, at + 1 + w] = row[LOG + w]
-            at = _tell_signed(row[: len(SIGNED)], out[b], at + 1 + len(RATIOS))
+                out[b, at + w] = row[LOG + w]
+            at += len(RATIOS)
+            for w in range(len(SIGNED)):
+                out[b, at + w] = signed_log(row[w])
+            at += len(SIGNED)
             out[b, at] = _log_root(row[SQUARE])
-            out[b, at + 1] = noise[b, c] ** 2 / variance[b, c] if here else 0.0
+            out[b, at + 1] = row[SHARE] if here else 0.0
 
 
 @njit(cache=True)
@@ -354,8 +339,8 @@ def _distance(state, rows, origin):
 
 
 @njit
-def _ratio(value, deviation):
-    return max(-MOST, min(MOST, value / deviation))
+def _capped(value):
+    return max(-MOST, min(MOST, value))
 
 
 @njit
