@@ -12,8 +12,11 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.autograd import Function
+from torch.autograd.function import once_differentiable
+from torch.linalg import solve_triangular
 
-from kfenv.models.model import Motion, Sensor
+from kfenv.models.model import Component, Motion, Sensor
 from kfenv.models.namespaces import tensor
 
 TWO_PI = 2.0 * pi
@@ -68,16 +71,10 @@ class DifferentiableFilter:
         self._step, self._noise_factor = motion.build(tensor)
         self._measure = sensor.build(tensor)
         n = len(motion.states)
-        spread, self._weight = sqrt(n + kappa), 0.5 / (n + kappa)
-        roots = [sqrt(kappa / (n + kappa)), *2 * n * [sqrt(self._weight)]]
-        self._roots = self._constant(roots)  # of the points' weights
-        unit = torch.eye(n, dtype=torch.float64)
-        signs = spread * torch.cat([torch.zeros(n, 1), unit, -unit], dim=1)
-        self._signs = signs.to(self.device)  # factor @ signs are the points' offsets
-        self._weighted_signs = self._signs * self._roots
+        self._signs, self._centring = (part.to(self.device) for part in _sigma(n, self.kappa))
+        self._weighted_signs = self._signs * sqrt(0.5 / (n + kappa))
         self._state_turns, self._channel_turns = (
-            self._constant([TWO_PI * part.angle for part in parts])
-            for parts in (motion.states, sensor.channels)
+            _turns(parts).to(self.device) for parts in (motion.states, sensor.channels)
         )
         places = torch.zeros(len(motion.noise_pattern), n, n, dtype=torch.float64)
         for k, (row, column) in enumerate(motion.noise_pattern):
@@ -94,14 +91,13 @@ class DifferentiableFilter:
         """
         guard = Guard()
         mean, covariance, inputs, dt = guard.enter(mean, covariance, inputs, dt)
-        factor, regular = _factor(covariance)
+        factor, regular = Factor.apply(covariance)
         points = _points(mean, factor @ self._signs)
-        moved = self._step(points, _columns(inputs), dt[:, None])
-        new_mean, deviations = self._moments(moved, points[0].shape, self._state_turns)
+        moved = _stacked(self._step(points, _columns(inputs), dt[:, None]), points[0].shape)
+        new_mean, deviations = Moments.apply(moved, self._centring, self._state_turns)
         entries = self._noise_factor(mean.unbind(1), inputs.unbind(1), dt)
         noise = (_stacked(entries, dt.shape) @ self._places).view_as(covariance)
-        new_mean = _wrapped(new_mean, self._state_turns)
-        found = new_mean, deviations @ deviations.mT, noise @ noise.mT
+        found = _wrapped(new_mean, self._state_turns), Gram.apply(deviations), Gram.apply(noise)
         return Predicted(*guard.leave(regular, *found), guard.failed)
 
     def update(
@@ -127,34 +123,20 @@ class DifferentiableFilter:
             *predicted[:3], fading, process_scale, told
         )
         covariance = fading[:, None, None] * propagated + process_scale[:, None, None] * noise
-        factor, regular = _factor(covariance)
+        factor, regular = Factor.apply(covariance)
         points = _points(mean, factor @ self._signs)
-        seen = self._measure(points, _columns(inputs))
-        expected, deviations = self._moments(seen, points[0].shape, self._channel_turns)
-        deviations = torch.where(present[:, :, None], deviations, 0.0)
+        seen = _stacked(self._measure(points, _columns(inputs)), points[0].shape)
+        expected, deviations = Moments.apply(seen, self._centring, self._channel_turns)
+        deviations = deviations.masked_fill(~present[:, :, None], 0.0)
         told = torch.where(present, told, 1.0)
         innovation = _wrapped(torch.where(present, value - expected, 0.0), self._channel_turns)
-        spread = deviations @ deviations.mT + torch.diag_embed(told * told)
-        root, invertible = _factor(spread)
+        spread = Gram.apply(torch.cat([deviations, torch.diag_embed(told)], dim=2))
         states = factor @ self._weighted_signs
-        gain = torch.cholesky_solve(deviations @ states.mT, root).mT
+        gain, invertible = Gain.apply(states @ deviations.mT, spread)
         new_mean = _wrapped(mean + (gain @ innovation[:, :, None])[:, :, 0], self._state_turns)
         joseph = torch.cat([states - gain @ deviations, gain * told[:, None]], dim=2)
-        found = new_mean, joseph @ joseph.mT, innovation, spread.diagonal(dim1=1, dim2=2)
+        found = new_mean, Gram.apply(joseph), innovation, spread.diagonal(dim1=1, dim2=2)
         return Posterior(*guard.leave(regular & invertible, *found), guard.failed)
-
-    def _moments(
-        self, components: tuple, shape: torch.Size, turns: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Mean (B, m) of a function's values at the points and weighted deviations (B, m, P)."""
-        values = _stacked(components, shape)
-        centre = values[:, :, :1]
-        offsets = _wrapped(values - centre, turns[:, None])
-        shift = self._weight * offsets.sum(dim=2, keepdim=True)
-        return (centre + shift)[:, :, 0], (offsets - shift) * self._roots
-
-    def _constant(self, numbers: list[float]) -> Tensor:
-        return torch.tensor(numbers, dtype=torch.float64, device=self.device)
 
 
 class Guard:
@@ -175,15 +157,119 @@ class Guard:
                 view.register_hook(self._cut)
         return views
 
-    def leave(self, sound: Tensor, *results: Tensor) -> list[Tensor]:
+    def leave(self, sound: Tensor, *results: Tensor) -> tuple[Tensor, ...]:
         """The results, with ones for those of failed filters; `sound` (B,) tells some of them."""
         for result in results:
-            sound = sound & torch.isfinite(result).flatten(1).all(dim=1)
+            sound = sound & torch.isfinite(result.detach().flatten(1).sum(dim=1))
         self.failed = ~sound
-        return [torch.where(_over(sound, result), result, _safe(result)) for result in results]
+        if sound.all():
+            return results
+        return tuple(torch.where(_over(sound, result), result, _safe(result)) for result in results)
 
     def _cut(self, gradient: Tensor) -> Tensor:
         return gradient.masked_fill(_over(self.failed, gradient), 0.0)
+
+
+class Factor(Function):
+    """Lower factor L of a covariance P, and whether there is one (B,).
+
+    These four have their gradients by hand, in fewer operations than torch would do.
+    """
+
+    @staticmethod
+    def forward(ctx, covariance):
+        factor, info = torch.linalg.cholesky_ex(covariance)
+        regular = info == 0
+        ctx.save_for_backward(factor)
+        ctx.mark_non_differentiable(regular)
+        return factor, regular
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, gradient, _):
+        """L^-T Phi(L^T dL) L^-1, made symmetric; Phi is the lower triangle, half the diagonal."""
+        (factor,) = ctx.saved_tensors
+        inner = (factor.mT @ gradient) * _half_triangle(factor)
+        inner = solve_triangular(factor.mT, inner, upper=True)
+        outer = solve_triangular(factor, inner, upper=False, left=False)
+        return 0.5 * (outer + outer.mT)
+
+
+class Gram(Function):
+    """D D^T of a matrix D."""
+
+    @staticmethod
+    def forward(ctx, deviations):
+        ctx.save_for_backward(deviations)
+        return deviations @ deviations.mT
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, gradient):
+        (deviations,) = ctx.saved_tensors
+        return (gradient + gradient.mT) @ deviations
+
+
+class Gain(Function):
+    """K = P_xz P_zz^-1 by the factor of P_zz, and whether there is one (B,)."""
+
+    @staticmethod
+    def forward(ctx, cross, spread):
+        root, info = torch.linalg.cholesky_ex(spread)
+        gain, invertible = _over_root(cross, root), info == 0
+        ctx.save_for_backward(gain, root)
+        ctx.mark_non_differentiable(invertible)
+        return gain, invertible
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, gradient, _):
+        gain, root = ctx.saved_tensors
+        slope = _over_root(gradient, root)
+        return slope, -gain.mT @ slope
+
+
+class Moments(Function):
+    """Mean (B, m) of values (B, m, P) at the points, and their weighted deviations (B, m, P).
+
+    Values are averaged as offsets from the central point, so that angles do not break.
+    """
+
+    @staticmethod
+    def forward(ctx, values, centring, turns):
+        centre = values[:, :, :1]
+        found = _wrapped(values - centre, turns[:, None]) @ centring
+        ctx.save_for_backward(centring)
+        return centre[:, :, 0] + found[:, :, 0], found[:, :, 1:]
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, of_mean, of_deviations):
+        (centring,) = ctx.saved_tensors
+        slopes = torch.cat([of_mean[:, :, None], of_deviations], dim=2) @ centring.mT
+        slopes[:, :, 0] += of_mean - slopes.sum(dim=2)
+        return slopes, None, None
+
+
+def _sigma(n: int, kappa: float) -> tuple[Tensor, Tensor]:
+    """What makes the points of a factor, and what makes moments of their offsets.
+
+    Returns:
+        (n, P): factor @ this are the points' offsets from the mean.
+        (P, 1 + P): offsets from the central value @ this are the mean's offset and the
+        deviations from the mean, each times the root of its weight.
+    """
+    unit = torch.eye(n, dtype=torch.float64)
+    signs = sqrt(n + kappa) * torch.cat([torch.zeros(n, 1, dtype=torch.float64), unit, -unit], 1)
+    weights = torch.full((2 * n + 1,), 0.5 / (n + kappa), dtype=torch.float64)
+    weights[0] = kappa / (n + kappa)
+    centred = torch.eye(2 * n + 1, dtype=torch.float64) - weights[:, None]
+    return signs, torch.cat([weights[:, None], centred * weights.sqrt()], dim=1)
+
+
+def _turns(components: tuple[Component, ...]) -> Tensor:
+    """A full turn for what is an angle and zero for the others."""
+    return torch.tensor([TWO_PI * part.angle for part in components], dtype=torch.float64)
 
 
 def _over(flags: Tensor, tensor: Tensor) -> Tensor:
@@ -198,10 +284,16 @@ def _safe(result: Tensor) -> Tensor:
     return torch.eye(result.shape[1], dtype=result.dtype, device=result.device)
 
 
-def _factor(covariance: Tensor) -> tuple[Tensor, Tensor]:
-    """Lower factor, and whether there is one (B,)."""
-    factor, info = torch.linalg.cholesky_ex(covariance)
-    return factor, info == 0
+def _over_root(matrix: Tensor, root: Tensor) -> Tensor:
+    """Matrix (B, n, m) times the inverse of root root^T."""
+    half = solve_triangular(root.mT, matrix, upper=True, left=False)
+    return solve_triangular(root, half, upper=False, left=False)
+
+
+def _half_triangle(factor: Tensor) -> Tensor:
+    """Lower triangle of ones (n, n), a half on the diagonal."""
+    ones = torch.ones(factor.shape[1:], dtype=factor.dtype, device=factor.device)
+    return ones.tril() - 0.5 * torch.eye(len(ones), dtype=factor.dtype, device=factor.device)
 
 
 def _points(mean: Tensor, offsets: Tensor) -> tuple[Tensor, ...]:
@@ -229,4 +321,4 @@ def _stacked(components: tuple, shape: torch.Size) -> Tensor:
 
 def _wrapped(values: Tensor, turns: Tensor) -> Tensor:
     """Wrap to [-pi, pi) where turns are 2 pi; where they are 0 there is nothing to wrap."""
-    return values - turns * torch.floor(values.detach() / TWO_PI + 0.5)
+    return values - turns * torch.floor(values.detach() / TWO_PI + 0.5) if turns.any() else values

@@ -7,6 +7,7 @@ from math import factorial, sqrt
 from types import ModuleType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kfenv.models.kinematics import (
     NOISE_PATTERN,
@@ -178,28 +179,35 @@ def _quadrature() -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 
 def _build_covariance_at_once(xp: ModuleType):
-    """`_build_covariance` as one product of matrices: the derivatives are those of every node."""
-    table = np.array(
-        [
-            [
-                [
-                    weight**0.5 * tau ** (k + 2 - i) / factorial(k + 2 - i)
-                    for k in range(TAYLOR_TERMS)
-                ]
-                for i in range(3)
-            ]
-            for tau, weight in zip(*_quadrature(), strict=True)
-        ]
-    )
+    """`_build_covariance` as a product of matrices, with the same series and nodes."""
+    table = _taylor_table()
 
     def covariance(alpha, turn_rate_squared, dt):
         damping = 2.0 * alpha * dt
         stiffness = (alpha * alpha + turn_rate_squared) * dt * dt
-        derivatives = [1.0 + 0.0 * alpha, -damping]
-        while len(derivatives) < TAYLOR_TERMS:
-            *_, before, last = derivatives
-            derivatives.append(-(damping * last + stiffness * before))
-        (q11, q12, q13), (_, q22, q23), (_, _, q33) = xp.gram(table, derivatives)
+        (q11, q12, q13), (_, q22, q23), (_, _, q33) = xp.gram(table, damping, stiffness)
         return q11, q12, q13, q22, q23, q33
 
     return covariance
+
+
+def _taylor_table() -> NDArray[np.float64]:
+    """Coefficients (nodes, 3, powers of damping, powers of stiffness) of the impulse response.
+
+    They are those of position, velocity and acceleration, times the root of the node's weight.
+    """
+    powers = TAYLOR_TERMS, TAYLOR_TERMS // 2
+    d = np.zeros((TAYLOR_TERMS, *powers))  # derivatives at zero, as polynomials
+    d[0, 0, 0] = 1.0
+    d[1, 1, 0] = -1.0
+    for k in range(2, TAYLOR_TERMS):
+        d[k, 1:] = -d[k - 1, :-1]
+        d[k, :, 1:] -= d[k - 2, :, :-1]
+    nodes, weights = _quadrature()
+    table = np.zeros((len(nodes), 3, *powers))
+    for row in range(3):
+        for k in range(TAYLOR_TERMS):
+            power = k + 2 - row
+            at_nodes = np.sqrt(weights) * np.power(nodes, power) / factorial(power)
+            table[:, row] += at_nodes[:, None, None] * d[k]
+    return table

@@ -32,20 +32,24 @@ def function(f):
     return f
 
 
-def gram(table, values):
-    """Sum over i of (A_i v)(A_i v)^T for constant matrices A_i, row by row as tuples.
+def gram(table, x, y):
+    """Sum over i of v_i v_i^T, where v_i is a polynomial in x and y, row by row as tuples.
 
-    An operation costs a tensor the more, the smaller it is; this is three of them.
+    An operation costs a tensor the more, the smaller it is; this is half a dozen of them.
 
     Args:
-        table: NumPy array (nodes, rows, len(values)) of the A_i.
-        values: the components of v.
+        table: NumPy array (nodes, rows, powers of x, powers of y) of the coefficients.
+        x, y: components.
     """
-    v = torch.stack(values, dim=-1)
-    nodes, rows, terms = table.shape
-    flat = torch.as_tensor(table.reshape(-1, terms), dtype=v.dtype, device=v.device)
-    seen = (v @ flat.mT).unflatten(-1, (nodes, rows))
-    return tuple(row.unbind(-1) for row in (seen.mT @ seen).unbind(-2))
+    nodes, rows, *powers = table.shape
+    coefficients = torch.as_tensor(table.reshape(nodes * rows, -1), dtype=x.dtype, device=x.device)
+    in_x, in_y = (
+        base[..., None] ** torch.arange(count, dtype=x.dtype, device=x.device)
+        for base, count in zip((x, y), powers, strict=True)
+    )
+    monomials = (in_x[..., :, None] * in_y[..., None, :]).flatten(-2)
+    v = (monomials @ coefficients.mT).unflatten(-1, (nodes, rows))
+    return tuple(row.unbind(-1) for row in (v.mT @ v).unbind(-2))
 
 
 __all__ = ["atan2", "cos", "function", "gram", "maximum", "minimum", "sin", "sqrt"]
