@@ -227,10 +227,22 @@ def test_a_failed_filter_is_told_and_its_neighbours_do_not_notice(spoiled):
         failed = torch.stack([posterior.failed for posterior in posteriors])
         assert not failed[:, filters].any()
         if one is case:
-            assert failed[0, 1] or failed[1, 1]
+            assert failed[:2, 1].any()
             assert all(result.isfinite().all() for last in posteriors for result in last[:4])
     torch.testing.assert_close(*ends, rtol=1e-12, atol=0.0)
     torch.testing.assert_close(*slopes, rtol=1e-12, atol=0.0)
+
+
+def test_what_failed_in_the_prediction_has_failed_in_the_update():
+    ours = DifferentiableFilter(variable_turn(), radar())
+    mean, covariance = torch.ones(2, 9).double(), torch.eye(9).double().repeat(2, 1, 1)
+    covariance[1, 3, 3] = -1.0
+    ones, nothing = torch.ones(2).double(), torch.zeros(2, 0)
+    predicted = ours.predict(mean, covariance, nothing, ones)
+    value = torch.full((2, 3), float("nan")).double()
+    posterior = ours.update(predicted, ones, ones, nothing, value, torch.ones(2, 3).double())
+    assert predicted.failed.tolist() == posterior.failed.tolist() == [False, True]
+    assert (posterior.mean[1] == 1.0).all() and (posterior.covariance[1] == torch.eye(9)).all()
 
 
 @pytest.mark.parametrize("kappa", [-1.0, float("nan"), float("inf")])

@@ -45,8 +45,10 @@ class DifferentiableFilter:
     """A batch of filters with gradients, for one motion and one sensor.
 
     A filter whose covariance is not positive definite, or that leaves the numbers, is marked
-    in ``failed``: its outputs are then constants of one (covariances the identity), no
-    gradient passes through it in that step, and its neighbours do not notice.
+    in ``failed`` of that step (of the update also for its prediction's sake): its outputs are
+    then constants of one (covariances the identity), no gradient passes through it, and its
+    neighbours do not notice. It goes on from there, as meaningless as it is: who trains
+    remembers whom to leave out.
 
     Args:
         motion, sensor: the models.
@@ -74,8 +76,10 @@ class DifferentiableFilter:
         self._signs, self._centring = (part.to(self.device) for part in _sigma(n, self.kappa))
         self._weighted_signs = self._signs * sqrt(0.5 / (n + kappa))
         self._state_turns, self._channel_turns = (
-            _turns(parts).to(self.device) for parts in (motion.states, sensor.channels)
+            _turns(parts, self.device) for parts in (motion.states, sensor.channels)
         )
+        unit = torch.eye(n, dtype=torch.float64, device=self.device)
+        self._half_triangle = torch.ones_like(unit).tril() - 0.5 * unit
         places = torch.zeros(len(motion.noise_pattern), n, n, dtype=torch.float64)
         for k, (row, column) in enumerate(motion.noise_pattern):
             places[k, row, column] = 1.0
@@ -91,7 +95,7 @@ class DifferentiableFilter:
         """
         guard = Guard()
         mean, covariance, inputs, dt = guard.enter(mean, covariance, inputs, dt)
-        factor, regular = Factor.apply(covariance)
+        factor, regular = Factor.apply(covariance, self._half_triangle)
         points = _points(mean, factor @ self._signs)
         moved = _stacked(self._step(points, _columns(inputs), dt[:, None]), points[0].shape)
         new_mean, deviations = Moments.apply(moved, self._centring, self._state_turns)
@@ -123,7 +127,7 @@ class DifferentiableFilter:
             *predicted[:3], fading, process_scale, told
         )
         covariance = fading[:, None, None] * propagated + process_scale[:, None, None] * noise
-        factor, regular = Factor.apply(covariance)
+        factor, regular = Factor.apply(covariance, self._half_triangle)
         points = _points(mean, factor @ self._signs)
         seen = _stacked(self._measure(points, _columns(inputs)), points[0].shape)
         expected, deviations = Moments.apply(seen, self._centring, self._channel_turns)
@@ -136,7 +140,8 @@ class DifferentiableFilter:
         new_mean = _wrapped(mean + (gain @ innovation[:, :, None])[:, :, 0], self._state_turns)
         joseph = torch.cat([states - gain @ deviations, gain * told[:, None]], dim=2)
         found = new_mean, Gram.apply(joseph), innovation, spread.diagonal(dim1=1, dim2=2)
-        return Posterior(*guard.leave(regular & invertible, *found), guard.failed)
+        sound = regular & invertible & ~predicted.failed
+        return Posterior(*guard.leave(sound, *found), guard.failed)
 
 
 class Guard:
@@ -177,10 +182,10 @@ class Factor(Function):
     """
 
     @staticmethod
-    def forward(ctx, covariance):
+    def forward(ctx, covariance, half_triangle):
         factor, info = torch.linalg.cholesky_ex(covariance)
         regular = info == 0
-        ctx.save_for_backward(factor)
+        ctx.save_for_backward(factor, half_triangle)
         ctx.mark_non_differentiable(regular)
         return factor, regular
 
@@ -188,11 +193,11 @@ class Factor(Function):
     @once_differentiable
     def backward(ctx, gradient, _):
         """L^-T Phi(L^T dL) L^-1, made symmetric; Phi is the lower triangle, half the diagonal."""
-        (factor,) = ctx.saved_tensors
-        inner = (factor.mT @ gradient) * _half_triangle(factor)
+        factor, half_triangle = ctx.saved_tensors
+        inner = (factor.mT @ gradient) * half_triangle
         inner = solve_triangular(factor.mT, inner, upper=True)
         outer = solve_triangular(factor, inner, upper=False, left=False)
-        return 0.5 * (outer + outer.mT)
+        return 0.5 * (outer + outer.mT), None
 
 
 class Gram(Function):
@@ -238,7 +243,7 @@ class Moments(Function):
     @staticmethod
     def forward(ctx, values, centring, turns):
         centre = values[:, :, :1]
-        found = _wrapped(values - centre, turns[:, None]) @ centring
+        found = _wrapped(values - centre, turns) @ centring
         ctx.save_for_backward(centring)
         return centre[:, :, 0] + found[:, :, 0], found[:, :, 1:]
 
@@ -267,9 +272,10 @@ def _sigma(n: int, kappa: float) -> tuple[Tensor, Tensor]:
     return signs, torch.cat([weights[:, None], centred * weights.sqrt()], dim=1)
 
 
-def _turns(components: tuple[Component, ...]) -> Tensor:
-    """A full turn for what is an angle and zero for the others."""
-    return torch.tensor([TWO_PI * part.angle for part in components], dtype=torch.float64)
+def _turns(components: tuple[Component, ...], device: torch.device) -> Tensor | None:
+    """A full turn for what is an angle and zero for the others; None if there is no angle."""
+    turns = [TWO_PI * part.angle for part in components]
+    return torch.tensor(turns, dtype=torch.float64, device=device) if any(turns) else None
 
 
 def _over(flags: Tensor, tensor: Tensor) -> Tensor:
@@ -288,12 +294,6 @@ def _over_root(matrix: Tensor, root: Tensor) -> Tensor:
     """Matrix (B, n, m) times the inverse of root root^T."""
     half = solve_triangular(root.mT, matrix, upper=True, left=False)
     return solve_triangular(root, half, upper=False, left=False)
-
-
-def _half_triangle(factor: Tensor) -> Tensor:
-    """Lower triangle of ones (n, n), a half on the diagonal."""
-    ones = torch.ones(factor.shape[1:], dtype=factor.dtype, device=factor.device)
-    return ones.tril() - 0.5 * torch.eye(len(ones), dtype=factor.dtype, device=factor.device)
 
 
 def _points(mean: Tensor, offsets: Tensor) -> tuple[Tensor, ...]:
@@ -319,6 +319,9 @@ def _stacked(components: tuple, shape: torch.Size) -> Tensor:
     )  # fmt: skip
 
 
-def _wrapped(values: Tensor, turns: Tensor) -> Tensor:
-    """Wrap to [-pi, pi) where turns are 2 pi; where they are 0 there is nothing to wrap."""
-    return values - turns * torch.floor(values.detach() / TWO_PI + 0.5) if turns.any() else values
+def _wrapped(values: Tensor, turns: Tensor | None) -> Tensor:
+    """Wrap to [-pi, pi) what are angles, their axis second; see `_turns`."""
+    if turns is None:
+        return values
+    turns = turns.view(-1, *(1,) * (values.dim() - 2))
+    return values - turns * torch.floor(values.detach() / TWO_PI + 0.5)
