@@ -236,5 +236,6 @@ def _continues(held: dict[str, Any], content: dict[str, Any]) -> bool:
 
 def _digests(contest: Contest) -> dict[str, str]:
     """A hash of each policy's numbers, so that a changed policy is another contest."""
-    agents = [make_agent(name) for name in contest.all_agents]
+    scenario, _ = scenario_and_options(contest.env_id, contest.env_kwargs)
+    agents = [make_agent(name).suited_to(scenario) for name in contest.all_agents]
     return {agent.name: agent.policy.digest for agent in agents if isinstance(agent, Learned)}

@@ -86,6 +86,7 @@ def rollout(
     """
     check_scored(recording)
     scenario, options = scenario_and_options(env_id, env_kwargs)
+    contestant = contestant.suited_to(scenario)
     if isinstance(contestant, RecordingFilter):
         return _filter(contestant, scenario, options, recording, trace)
     return _decide(contestant, scenario, options, recording, seed, trace)

@@ -87,6 +87,10 @@ class Contestant:
         """The same contestant with other parameters."""
         return type(self)(self.name, values)
 
+    def suited_to(self, scenario: TrackingScenario) -> Contestant:
+        """Who plays in a scenario: itself, unless it stands for several."""
+        return self
+
     def check(self, scenario: Any, options: Options, recording: Recording) -> None:
         """Complain, before a contest begins, if the contestant does not suit it.
 

@@ -18,6 +18,7 @@ from .family import AdaptiveFamilyFilter, FamilyFilter
 from .fixed import Fixed, FixedTuned, Random
 from .learned import Learned
 from .optimised import Okf
+from .pretrained import Pretrained, PretrainedSmall
 from .rules.fading import InnovationFading, InnovationFadingPrinted, StrongTracking
 from .rules.hidden_markov import HmmNoise, HmmTurn
 from .rules.noise import InnovationNoise, PooledNoise, SageHusa, VbNoise
@@ -48,6 +49,8 @@ AGENTS: dict[str, type[Agent]] = {
     "clairvoyant-rq": ClairvoyantRq,
     "clairvoyant-channels": ClairvoyantChannels,
     "random": Random,
+    "learned": Pretrained,
+    "learned-small": PretrainedSmall,
 }
 BANKS: dict[str, type[BankContestant]] = {
     "imm": Imm,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import tomllib
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -128,11 +129,71 @@ class SACSettings(Settings):
         _within(self, 0.0, 1.0, "tau", "first_entropy_coefficient")
 
 
+@dataclass(frozen=True)
+class TaughtSettings:
+    """A network that learns from a teacher, then by gradients through the filter."""
+
+    units: int
+    """Width of each layer and of the memory."""
+    memory: bool
+    """Whether the network has a recurrent memory, beside the observation's windows."""
+    torch_threads: int
+    """Processor cores that the gradient computation may use."""
+    checkpoint_every: int
+    """Updates through the filter between two checkpoints; every round of lessons has its own."""
+    rounds: int
+    """Of lessons: in the first the teacher rolls the episodes, in the others the pupil."""
+    episodes: int
+    """New ones in each round."""
+    epochs: int
+    """Passes over each round's episodes."""
+    batch_decisions: int
+    """Decisions in a batch of lessons."""
+    jitter: float
+    """Deviation added to the teacher's log factors where it rolls."""
+    learning_rate: float
+    """Step size in lessons at the start ..."""
+    final_learning_rate: float
+    """... and at the end of all rounds, along a cosine."""
+    max_gradient_norm: float
+    """Longer gradients are shortened to this in lessons."""
+    tuning_trials: int
+    """Settings of the teacher that are tried for each of its parameters."""
+    refined_episodes: int
+    """Episodes in lock-step through the filter."""
+    chunk: int
+    """Decisions that gradients flow back through."""
+    refining_rate: float
+    """Step size through the filter at the start ..."""
+    final_refining_rate: float
+    """... and at the end, along a cosine."""
+    max_refining_norm: float
+    """Longer gradients are shortened to this through the filter."""
+    largest_error: float
+    """RMS error of an episode, in error scales, above which it weighs no less."""
+    consistency: float
+    """Weight of the term that brings the NEES to one ..."""
+    consistent_share: float
+    """... in this last part of the updates."""
+
+    def __post_init__(self) -> None:
+        """Check what the types cannot say."""
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if type(value) is int and value < (0 if field.name in MAY_BE_ZERO else 1):
+                _refuse(field.name, value, "a positive whole number")
+            if type(value) is float and not 0.0 <= value < math.inf:
+                _refuse(field.name, value, "a number that is not negative")
+
+
+MAY_BE_ZERO = ("rounds", "tuning_trials")
+
 RECURRENT_PPO = "recurrent-ppo"
-ALGORITHMS: dict[str, type[Settings]] = {
+ALGORITHMS: dict[str, type] = {
     "ppo": PPOSettings,
     "sac": SACSettings,
     RECURRENT_PPO: PPOSettings,
+    "taught": TaughtSettings,
 }
 
 

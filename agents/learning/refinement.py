@@ -1,0 +1,155 @@
+"""Learning by gradients through the filter: truncated backpropagation of the position error.
+
+Episodes are rolled by the network, then taken apart into chunks. Through each the filter is run
+again, differentiably, from where the roll had it; what the network sees is the roll's, so that
+gradients flow through mean, covariance and the network's memory alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import torch
+
+from kfenv.scenarios.recording import Recording
+
+from .differentiable import DifferentiableFilter, Predicted
+from .networks import RecurrentNetwork
+from .rolling import Roll
+
+ROBUSTNESS = 20.0  # squared errors that are so many times an episode's mean count ever less
+CALM = 0.02  # keeps the logarithm of a mean NEES finite
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Decisions from `begin` to `end` of a roll."""
+
+    roll: Roll
+    begin: int
+    end: int
+
+
+def chunks(decisions: int, length: int, first: int) -> list[tuple[int, int]]:
+    """Where chunks begin and end: the first has `first` decisions, the others `length`."""
+    edges = [0, *range(first, decisions, length), decisions]
+    return [(a, b) for a, b in pairwise(edges) if b > a]
+
+
+class Refinery:
+    """The differentiable filter of a scenario, and the loss of a chunk.
+
+    Args:
+        motion, sensor, kappa: of the environment's filter.
+        consistency: weight of the term that brings the NEES to what it should be.
+        largest_error: an episode's RMS error counts as this at most, m.
+    """
+
+    def __init__(
+        self, motion: Any, sensor: Any, kappa: float, consistency: float, largest_error: float
+    ) -> None:
+        self.filter = DifferentiableFilter(motion, sensor, kappa)
+        self._consistency, self._largest = consistency, largest_error
+        self._position = list(motion.position)
+        self._group = torch.tensor(sensor.group_of_channel)
+
+    def loss(self, network: RecurrentNetwork, chunk: Chunk) -> torch.Tensor:
+        """Mean over the chunk's instants of the robust log of the squared position error.
+
+        1/2 k log(1 + (e^2 / m) / k) with an episode's mean squared error m: its gradient is
+        about that of the log of the episode's RMSE, and a lost track does not rule it.
+        """
+        roll, begin, end = chunk.roll, chunk.begin, chunk.end
+        told = torch.from_numpy(roll.observations[begin:end])
+        logs, _ = network(told, torch.from_numpy(roll.memories[begin]))
+        error, nees, counts = self._run(roll, begin, self._factors(roll, logs.double()))
+        scale = torch.from_numpy(np.clip(roll.squared_error, 1e-6, self._largest**2))
+        robust = 0.5 * ROBUSTNESS * torch.log1p(error / scale / ROBUSTNESS)
+        number = counts.sum().clamp(min=1.0)
+        loss = torch.where(counts > 0.0, robust, 0.0).sum() / number
+        if self._consistency:
+            loss = loss + self._consistency * _inconsistency(nees, counts)
+        return loss
+
+    def _factors(self, roll: Roll, logs: torch.Tensor) -> torch.Tensor:
+        """All factors (L, B, A) of the filter, one where a knob is not the network's."""
+        core = roll.core
+        everything = torch.zeros(*logs.shape[:2], core.factors.shape[1], dtype=logs.dtype)
+        place = torch.from_numpy(core.knob_place)
+        return everything.index_copy(2, place, logs).exp()
+
+    def _run(
+        self, roll: Roll, begin: int, factors: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Squared errors, NEES per axis and whether they count, each (instants, B)."""
+        core, recording = roll.core, roll.recording
+        channels = len(self._group)
+        noise = factors[:, :, 2 + self._group] * factors[:, :, -channels:]
+        mean, root, added = map(torch.from_numpy, roll.predictions[begin])
+        sound = torch.zeros(len(mean), dtype=torch.bool)
+        predicted = Predicted(mean, root @ root.mT, added @ added.mT, sound)
+        series = _Series(recording)
+        alive = torch.from_numpy(roll.running[begin])
+        errors, consistency, counts = [], [], []
+        last = len(recording.time) - 1
+        for step in range(len(factors) * core.interval):
+            decision, i = step // core.interval, begin * core.interval + step
+            alive = alive & torch.from_numpy(roll.running[begin + decision])
+            due = i % core.scenario.steps_per_measurement == 0
+            fading = factors[decision, :, 0] if due else torch.ones(len(mean), dtype=mean.dtype)
+            posterior = self.filter.update(
+                predicted, fading, factors[decision, :, 1], series.sensor_inputs[:, i],
+                series.measurement[:, i], series.noise[:, i] * noise[decision],
+            )  # fmt: skip
+            alive = alive & ~posterior.failed
+            off = (posterior.mean - series.truth[:, i])[:, self._position]
+            errors.append((off**2).sum(dim=1))
+            consistency.append(self._nees(off.detach(), posterior.covariance))
+            counts.append(torch.where(alive, series.scored[:, i], 0.0))
+            if i == last:
+                break
+            predicted = self.filter.predict(
+                posterior.mean, posterior.covariance, series.motion_inputs[:, i + 1],
+                series.dt[i + 1].expand(len(mean)),
+            )  # fmt: skip
+            alive = alive & ~predicted.failed
+        return torch.stack(errors), torch.stack(consistency), torch.stack(counts)
+
+    def _nees(self, off: torch.Tensor, covariance: torch.Tensor) -> torch.Tensor:
+        if not self._consistency:
+            return torch.zeros(len(off), dtype=off.dtype)
+        block = covariance[:, self._position][:, :, self._position]
+        root, failed = torch.linalg.cholesky_ex(block)
+        eye = torch.eye(3, dtype=off.dtype)
+        root = torch.where((failed > 0)[:, None, None], eye, root)
+        white = torch.linalg.solve_triangular(root, off[:, :, None], upper=False)
+        return (white**2).sum(dim=(1, 2)) / 3.0
+
+
+class _Series:
+    """A recording's arrays as tensors."""
+
+    def __init__(self, recording: Recording) -> None:
+        def tensor(array: np.ndarray) -> torch.Tensor:
+            return torch.from_numpy(np.array(array))
+
+        self.measurement, self.noise = tensor(recording.measurement), tensor(recording.noise)
+        self.sensor_inputs = tensor(recording.sensor_inputs)
+        self.motion_inputs = tensor(recording.motion_inputs)
+        self.truth = tensor(recording.truth)
+        self.dt = tensor(np.diff(recording.time, prepend=recording.time[0]))
+        known = recording.scored
+        self.scored = tensor(np.ones(recording.truth.shape[:2]) if known is None else known)
+
+
+def _inconsistency(nees: torch.Tensor, counts: torch.Tensor) -> torch.Tensor:
+    """How far the mean NEES of each episode in the chunk is from one, on a log scale."""
+    number = counts.sum(dim=0)
+    mean = torch.where(counts > 0.0, nees, 0.0).sum(dim=0) / number.clamp(min=1.0)
+    off = torch.log(mean + CALM)
+    each = 2.0 * torch.nn.functional.smooth_l1_loss(off, torch.zeros_like(off), reduction="none")
+    some = number > 0.0
+    return torch.where(some, each, 0.0).sum() / some.sum().clamp(min=1.0)
