@@ -8,13 +8,12 @@ import pytest
 pytest.importorskip("torch")
 
 import torch
-
 from kfenv.agents.contest.rollout import SPLITS, draw_episodes, rollout
 from kfenv.agents.contestants.policy import NumpyPolicy
 from kfenv.agents.contestants.registry import make_agent
 from kfenv.agents.learning import taught
 from kfenv.agents.learning.networks import RecurrentNetwork
-from kfenv.agents.learning.refinement import Chunk, Refinery, chunks
+from kfenv.agents.learning.refinement import Chunk, Refinery, chunks, no_lane_rules
 from kfenv.agents.learning.rolling import roll
 from kfenv.agents.learning.runs import TrainingInterrupted
 from kfenv.agents.learning.taught import Curriculum, teach
@@ -225,17 +224,35 @@ def test_a_budget_in_minutes_becomes_a_number_of_updates(tmp_path, monkeypatch):
 
 def test_worlds_are_read_and_never_draw_what_is_tested(tmp_path):
     for name in bundled_worlds():
-        parts = build_world(ENV, KWARGS, name)
-        assert len(parts) > 1
+        parts = build_world(ENV, FULL, name)
+        assert sum(len(part.kinds) for part in parts) > 1
     assert TRAINING not in SPLITS.values()
-    part = parts[0]
-    drawn = [part.draw(0, lesson, 2) for lesson in (0, 1)] + [parts[1].draw(0, 0, 2)]
+    one, two = parts[0].kinds[:2]
+    drawn = [one.draw(0, lesson, 2) for lesson in (0, 1)] + [two.draw(0, 0, 2)]
     drawn += [draw_episodes(ENV, FULL, split, 0, 2) for split in SPLITS]
     measured = {recording.measurement.tobytes() for recording in drawn}
     assert len(measured) == len(drawn)
     path = tmp_path / "mine.toml"
     path.write_text("[[part]]\nshare = 1.0\n[part.kwargs]\nfaults = 'none'\n")
     assert build_world(ENV, FULL, str(path))[0].scenario.faults == "none"
+
+
+def test_a_part_draws_its_kinds_by_their_shares():
+    part = build_world(ENV, FULL, "radar")[0]
+    drawn, total = part.draw(0, 3, 40), part.share
+    counts = [round(40 * kind.share / total) for kind in part.kinds]
+    assert len(drawn) == 40
+    first = part.kinds[0].draw(0, 3, counts[0])
+    np.testing.assert_array_equal(drawn.measurement[: counts[0]], first.measurement)
+
+
+def test_one_gradient_does_not_drown_the_others():
+    gradient = torch.ones(2, 5, 1)
+    gradient[:, 1] = 1e9
+    gradient[:, 2] = torch.nan
+    shortened = no_lane_rules(gradient)
+    assert (shortened[:, [0, 3, 4]] == 1.0).all() and (shortened[:, 2] == 0.0).all()
+    assert shortened[:, 1].max() < 6.0
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ from .networks import RecurrentNetwork
 from .rolling import Roll
 
 ROBUSTNESS = 20.0  # squared errors that are so many times an episode's mean count ever less
+LONGEST = 5.0  # times the median gradient that an episode's may be long
 CALM = 0.02  # keeps the logarithm of a mean NEES finite
 
 
@@ -65,6 +66,8 @@ class Refinery:
         roll, begin, end = chunk.roll, chunk.begin, chunk.end
         told = torch.from_numpy(roll.observations[begin:end])
         logs, _ = network(told, torch.from_numpy(roll.memories[begin]))
+        if logs.requires_grad:
+            logs.register_hook(no_lane_rules)
         error, nees, counts = self._run(roll, begin, self._factors(roll, logs.double()))
         scale = torch.from_numpy(np.clip(roll.squared_error, 1e-6, self._largest**2))
         robust = 0.5 * ROBUSTNESS * torch.log1p(error / scale / ROBUSTNESS)
@@ -127,6 +130,24 @@ class Refinery:
         root = torch.where((failed > 0)[:, None, None], eye, root)
         white = torch.linalg.solve_triangular(root, off[:, :, None], upper=False)
         return (white**2).sum(dim=(1, 2)) / 3.0
+
+
+def no_lane_rules(gradient: torch.Tensor) -> torch.Tensor:
+    """Shorten the gradient of each episode to a few times the median episode's.
+
+    Through a filter that is about to lose its track gradients grow without bound, and one such
+    episode would drown all others.
+
+    Args:
+        gradient: (L, B, K).
+    """
+    length = torch.nan_to_num(gradient, 0.0, 0.0, 0.0).norm(dim=(0, 2))
+    some = length[length > 0.0]
+    if not len(some):
+        return gradient
+    most = LONGEST * some.median()
+    share = torch.where(length > most, most / length.clamp(min=1e-30), 1.0)
+    return torch.nan_to_num(gradient, 0.0, 0.0, 0.0) * share[:, None]
 
 
 class _Series:

@@ -18,7 +18,7 @@ from numpy.random import Generator, SeedSequence, default_rng
 
 from kfenv.envs.options import Options
 from kfenv.names import unknown
-from kfenv.scenarios.recording import Recording
+from kfenv.scenarios.recording import Recording, stack
 from kfenv.scenarios.scenario import TrackingScenario
 
 from ..contest.rollout import SPLITS, scenario_and_options
@@ -28,24 +28,53 @@ FOLDER = files(__package__) / "config" / "worlds"
 
 
 @dataclass(frozen=True)
-class Part:
+class Kind:
     """Episodes of one kind.
 
     Attributes:
         share: of all episodes.
-        scenario, options: what they are drawn from and replayed with.
+        scenario: what they are drawn from.
         number: place in its world.
     """
 
     share: float
     scenario: TrackingScenario
-    options: Options
     number: int
 
     def draw(self, seed: int, lesson: int, episodes: int) -> Recording:
-        """The episodes of a numbered lesson; no others are like them, in no part or split."""
+        """The episodes of a numbered lesson; no others are like them, in no kind or split."""
         keys = [(TRAINING, self.number, lesson, i) for i in range(episodes)]
         return self.scenario.sample([default_rng(SeedSequence(seed, spawn_key=k)) for k in keys])
+
+
+@dataclass(frozen=True)
+class Part:
+    """Kinds that go in lock-step: the same instants, the same filter and knobs.
+
+    Attributes:
+        kinds: at least one.
+        options: that they are replayed with.
+    """
+
+    kinds: tuple[Kind, ...]
+    options: Options
+
+    @property
+    def share(self) -> float:
+        """Of all episodes."""
+        return sum(kind.share for kind in self.kinds)
+
+    @property
+    def scenario(self) -> TrackingScenario:
+        """Of the first kind: all have its motion, its sensor and its scales."""
+        return self.kinds[0].scenario
+
+    def draw(self, seed: int, lesson: int, episodes: int) -> Recording:
+        """The episodes of a numbered lesson, of every kind by its share."""
+        ends = np.cumsum([kind.share for kind in self.kinds]) / self.share
+        counts = np.diff(np.round(ends * episodes).astype(int), prepend=0)
+        pairs = zip(self.kinds, counts, strict=True)
+        return stack([kind.draw(seed, lesson, count) for kind, count in pairs if count])
 
 
 def build_world(env_id: str, env_kwargs: Mapping[str, Any], world: str | None) -> tuple[Part, ...]:
@@ -58,12 +87,14 @@ def build_world(env_id: str, env_kwargs: Mapping[str, Any], world: str | None) -
         ValueError: if there is no such world, or it is malformed.
     """
     told = [{"share": 1.0}] if world is None else _read(world)
-    parts = []
+    together: dict[Any, tuple[list[Kind], Options]] = {}
     for number, item in enumerate(told):
         kwargs = dict(env_kwargs) | item.get("kwargs", {})
         scenario, options = scenario_and_options(env_id, kwargs)
-        parts.append(Part(item["share"], scenario, options, number))
-    return tuple(parts)
+        key = scenario.time.tobytes(), str(options)
+        kinds, _ = together.setdefault(key, ([], options))
+        kinds.append(Kind(item["share"], scenario, number))
+    return tuple(Part(tuple(kinds), options) for kinds, options in together.values())
 
 
 def choose(parts: Sequence[Part], rng: Generator) -> Part:
