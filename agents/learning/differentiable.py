@@ -153,6 +153,7 @@ class Guard:
 
     def __init__(self) -> None:
         self.failed: Tensor | None = None  # (B,) bool, once the step has ended
+        self._all_sound = False
 
     def enter(self, *tensors: Tensor) -> tuple[Tensor, ...]:
         """The same tensors; a failed filter's gradients end here."""
@@ -167,11 +168,14 @@ class Guard:
         for result in results:
             sound = sound & torch.isfinite(result.detach().flatten(1).sum(dim=1))
         self.failed = ~sound
-        if sound.all():
+        self._all_sound = bool(sound.all())
+        if self._all_sound:
             return results
         return tuple(torch.where(_over(sound, result), result, _safe(result)) for result in results)
 
     def _cut(self, gradient: Tensor) -> Tensor:
+        if self._all_sound:
+            return gradient
         return gradient.masked_fill(_over(self.failed, gradient), 0.0)
 
 
