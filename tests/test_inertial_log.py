@@ -20,7 +20,7 @@ from kfenv.scenarios.inertial.ins_gnss import InsGnss
 from kfenv.scenarios.inertial.log import level
 from kfenv.scenarios.inertial.reading import read_log
 
-GOOD_UNIT = {"process_noise": (0.3, 0.3, 0.1), "duration": 40.0}
+GOOD_UNIT = {"duration": 40.0}
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def test_alignment(simulated, paths):
     off, banks = [], []
     for start in starts[::20]:
         true = flight[log.row[start], 6:]
-        found = log.window(start, 40.0).mean[6:]
+        found = log.aligned(start)
         turn = matrix_from_angles(found).T @ matrix_from_angles(true)
         off.append(np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0))))
         banks.append(abs(np.degrees(true[0])))
@@ -87,9 +87,10 @@ def test_the_parts_do_not_overlap(paths):
         rows = log.row[log.starts(40.0, part)]
         ends.append((rows.min(), rows.max() + 4000))
     assert ends[0][1] <= ends[1][0] and ends[1][1] <= ends[2][0]
-    assert scenario.recorded("tuning", 5) is None
-    assert len(scenario.recorded("test", 99)) == 3
-    assert np.diff(log.row[log.apart(40.0, "test")]).min() > 4000
+    assert np.diff(log.row[log.apart(40.0, "test", 15.0)]).min() == 1500
+    assert len(scenario.recorded("test", 99)) == 8 and len(scenario.recorded("tuning", 17)) == 17
+    apart = replace(scenario, faults={"glint": {}})
+    assert apart.recorded("tuning", 5) is None and len(apart.recorded("test", 99)) == 3
 
 
 # ----- in the environment ---------------------------------------------------------------
@@ -180,7 +181,7 @@ def test_faults_that_raise_the_noise_add_what_is_missing(paths):
 def test_evaluate_on_a_log(paths, tmp_path):
     arguments = [
         "evaluate", INERTIAL, "--option", f"log={json.dumps(paths[:2])}",
-        "--option", "process_noise=[0.3,0.3,0.1]", "--option", "duration=40",
+        "--option", "duration=40",
         "--agent", "fixed", "--episodes", "2", "--tuning-trials", "0", "--processes", "1",
         "--output", str(tmp_path / "contest"),
     ]  # fmt: skip

@@ -22,7 +22,7 @@ def paths(tmp_path_factory):
 def on_log(command, paths, output, *options):
     arguments = [
         command, INERTIAL, "--option", f"log={json.dumps(paths)}", "--output", str(output),
-        "--option", "process_noise=[0.3,0.3,0.1]", "--rate", "20", *options,
+        "--rate", "20", *options,
     ]  # fmt: skip
     return CliRunner().invoke(app, arguments)
 
@@ -33,17 +33,17 @@ def contest(paths, output, duration, *options):
 
 
 def test_a_contest_says_that_its_episodes_are_windows(paths, tmp_path):
-    told = contest(paths, tmp_path / "out", 60)
+    told = contest(paths, tmp_path / "out", 80)
     assert told.exit_code == 0, told.output
-    assert "2 of 6 asked windows of a real log" in told.output
+    assert "5 of 6 asked windows of a real log" in told.output
     results = json.loads((tmp_path / "out" / "results.json").read_text())
     names = {result["agent"] for result in results}
     assert names == {"fixed", *AGENTS, "random"}  # nobody knows the log's noise
-    assert all(result["episodes"] == 2 and result["episodes_asked"] == 6 for result in results)
+    assert all(result["episodes"] == 5 and result["episodes_asked"] == 6 for result in results)
 
 
 @pytest.mark.parametrize(("files", "duration", "options", "said"), [
-    (3, 80, (), "gives 1 window for test"),
+    (3, 80, ("--faults", "{}"), "gives 1 window for test"),
     (2, 40, ("--faults", "none"), "longer outages"),
 ])  # fmt: skip
 def test_a_contest_that_a_log_cannot_give_is_refused_before_it_begins(
@@ -56,6 +56,7 @@ def test_a_contest_that_a_log_cannot_give_is_refused_before_it_begins(
 
 def test_training_that_could_not_be_validated_is_refused(paths, tmp_path):
     pytest.importorskip("torch")
-    told = on_log("train", paths, tmp_path / "out", "--option", "duration=40", "--steps", "1")
+    told = on_log("train", paths, tmp_path / "out", "--option", "duration=40", "--steps", "1",
+                  "--faults", "{}")  # fmt: skip
     assert told.exit_code == 2 and "1 window for validation" in told.output
     assert not (tmp_path / "out").exists()

@@ -11,6 +11,7 @@ from .contest import evaluate
 from .demo import demo
 from .environments import envs
 from .limit import limit
+from .outages import outages
 from .reproduction import claims, reproduce
 from .speed import bench
 from .suites import leaderboard, suite, suites
@@ -28,6 +29,7 @@ app.command()(envs)
 app.command()(train)
 app.command(epilog=FAMILY)(evaluate)
 app.command()(limit)
+app.command()(outages)
 app.command()(suites)
 app.command()(suite)
 app.command()(leaderboard)

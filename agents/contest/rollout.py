@@ -119,7 +119,7 @@ def _decide(
     shown = recording if agent.clairvoyant else None
     agent.reset(Briefing(core.knobs, scenario, core.batch, seed, shown, core.interval))
     running, lost = np.ones(core.batch, bool), np.zeros(core.batch, bool)
-    times, errors, factors = [], [], []
+    times, errors, factors, offs = [], [], [], []
     while running.any():
         seen = watch(core.observation) if agent.sees == "observation" else core.observation()
         action = np.clip(watch(agent.act, seen, without_truth(core)), -1.0, 1.0)
@@ -130,8 +130,9 @@ def _decide(
             times.append(recording.time[min(core.index.max(), len(recording.time)) - 1])
             errors.append(core.error.copy())
             factors.append(core.factors.copy())
+            offs.append(_offset(core))
     totals = core.total_scored, core.total_squared_error, core.total_nees
-    traces = (np.array(times), np.array(errors), np.array(factors)) if trace else ()
+    traces = tuple(map(np.array, (times, errors, factors, offs))) if trace else ()
     told = watched.nis, watch.seconds
     return _settle(scenario, recording, lost, *totals, *told, *traces)
 
@@ -174,9 +175,9 @@ def _filter(
     joined.append(sum(p.seconds for p in parts))
     if not trace:
         return Scores(*joined)
-    errors, factors = (np.concatenate([getattr(p, name) for p in parts], axis=1)
-                       for name in ("error", "factors"))  # fmt: skip
-    return Scores(*joined, recording.time, errors, factors)
+    traces = (np.concatenate([getattr(p, name) for p in parts], axis=1)
+              for name in ("error", "factors", "off"))  # fmt: skip
+    return Scores(*joined, recording.time, *traces)
 
 
 def _score(
@@ -206,8 +207,10 @@ def _score(
         )  # fmt: skip
         errors.append(error.copy())
     knobs = len(knobs_of(scenario.sensor.groups))
-    traces = (recording.time, np.array(errors), np.ones((steps, batch, knobs))) if trace else ()
+    off = means - truth
+    traces = (recording.time, np.array(errors), np.ones((steps, batch, knobs)), off)
     told = _told_nis(history, scenario, recording), seconds
+    traces = traces if trace else ()
     return _settle(scenario, recording, lost, count, squared, nees_sum, *told, *traces)
 
 
@@ -218,6 +221,12 @@ def _told_nis(history: History, scenario: Any, recording: Recording) -> Array:
     count = arrived.sum(axis=1)
     nis[:, 0] = np.where(count > 0, np.nansum(history.nis, axis=1) / np.maximum(count, 1), np.nan)
     return nis
+
+
+def _offset(core: Core) -> Array:
+    """Estimated less true position (N, 3) at the latest instant."""
+    info = core.information()
+    return (info["estimate"] - info["truth"])[:, list(core.scenario.motion.position)]
 
 
 def without_truth(core: Core) -> dict[str, Any]:

@@ -32,6 +32,7 @@ class Scores:
         time: (D,) end of each decision, s, if traced; every instant of a recording filter.
         error: (D, N) position error then, m, if traced.
         factors: (D, N, K) all knobs' factors, if traced.
+        off: (D, N, 3) estimated less true position then, m, if traced.
     """
 
     rmse: Array
@@ -42,6 +43,7 @@ class Scores:
     time: Array | None = None
     error: Array | None = None
     factors: Array | None = None
+    off: Array | None = None
 
 
 def scores_path(output: Path, name: str) -> Path:

@@ -17,17 +17,19 @@ class InsGnssEnv(TrackingEnv):
     gaps, tell the filter a wrong noise level, and make the inertial unit itself go wrong. The
     agent turns the knobs of the filter, which must then trust GNSS or the unit more than it does.
 
-    {decisions}; it does not estimate the unit's biases, its process noise stands for them. Its
-    measurements are the fixes.
+    {decisions}; unless told with ``biases``, it does not estimate the unit's biases, its process
+    noise stands for them. Its measurements are the fixes.
 
     The frame is local: north, east, down, flat, gravity 9.81 m/s^2; Earth rotation and
     transport rate are neglected. Body axes are forward, right, down.
 
-    With ``log`` the filter runs on a real log instead: a window of it an episode, at first
-    aligned by gravity and the course. Without attitude in it, the groups are position and
-    velocity, and there is one knob less, and there are eight features less. A window's
-    first fix gives the initial state and is spent: nothing is pending at the first decision.
-    Fixes are moved along their velocity to the nearest decision.
+    With ``log`` the filter runs on a real log instead: a window of it an episode. Gravity is
+    that of the latitude and height, and the state has six biases more. A window begins with the
+    estimate, and its covariance, of a filter that ran from where the vehicle first moved,
+    aligned there by gravity and the course, up to the window's first fix; nothing is pending at
+    the first decision. Without attitude in it, the groups are position and velocity, and there
+    is one knob less, and there are eight features less. Fixes are moved along their velocity to
+    the nearest decision.
 
     {info}
 
@@ -71,15 +73,26 @@ class InsGnssEnv(TrackingEnv):
       of {module.INSTABILITY_TIME:g} s, m/s^2 and deg/s, default {scenario.imu_instability}.
     - ``process_noise``: what the filter believes of the errors that the samples bring into
       position (m), velocity (m/s) and attitude (deg): standard deviations after a second,
-      default {scenario.process_noise}, the paper's table.
+      default {scenario.process_noise}, the paper's table; of a log {module.UNIT_NOISE}, which
+      suits a small unit on a car.
     - ``log``: paths of CSV files to run on, ``(IMU, GNSS)`` or ``(IMU, GNSS, TRUTH)``, one
       clock, columns by name (`kfenv.scenarios.inertial.files`). IMU: ``t`` s, ``fx, fy, fz``
       m/s^2, ``wx, wy, wz`` rad/s, axes forward, right, down. GNSS: ``t, lat, lon`` deg,
       ``height`` m, ``vn, ve, vd`` m/s and the deviations ``sd_n, sd_e, sd_d, sd_vn, sd_ve,
       sd_vd``. TRUTH: the first seven of these. Samples are averaged to ``rate``; the fixes
       set ``measurement_rate``; ``process_noise`` should suit the unit. Episodes are windows
-      of the log's first 30 %; contests validate on the next 20 % and test on the rest, on
-      windows and faults that no seed changes.
+      of the log's first 30 %; contests tune there too, validate on the next 20 % and test on
+      the rest. No seed changes their windows: each ends with an outage of
+      {module.OUTAGE:g} s (three fifths of ``duration`` at most), and where agents are validated or
+      tested these tile the part. With other ``faults`` such windows do not overlap, and agents
+      are tuned on drawn ones.
+    - ``biases``: whether the state holds the biases of accelerometers and gyroscopes too, 15
+      in all. Default: with a ``log`` yes, otherwise no.
+    - ``bias_drift``: what the filter believes of them: standard deviations that white noise
+      would add in a second, m/s^2 and deg/s, default {scenario.bias_drift}.
+    - ``bias_time``: their correlation times, s, default {scenario.bias_time}.
+    - ``earth``: whether that filter also takes the Earth's rotation, its curvature and the
+      loss of gravity with height into account (default no): for a long ``log``.
     - ``faults``: what spoils an episode.
 
       - ``"random"`` (default; with a ``log`` as ``"outages"``): {preset[random]}.

@@ -12,7 +12,8 @@ def navigation_fix(attitude: bool = True) -> Sensor:
     """A receiver that tells the state itself: the loosely coupled measurement h(x) = x.
 
     Nine channels of the state of `kfenv.models.strapdown`, attitude from several antennas
-    with wrapped angles; or six, of position and velocity alone.
+    with wrapped angles; or six, of position and velocity alone. States beyond, such as those
+    of `kfenv.models.strapdown_biases`, are not measured.
 
     Args:
         attitude: whether attitude is measured.
@@ -32,13 +33,12 @@ def _build(xp: ModuleType, attitude: bool):
 
         @xp.function
         def measure(x, s):
-            return x
+            return x[:9]
 
     else:
 
         @xp.function
         def measure(x, s):
-            pn, pe, pd, vn, ve, vd, _, _, _ = x
-            return pn, pe, pd, vn, ve, vd
+            return x[:6]
 
     return measure

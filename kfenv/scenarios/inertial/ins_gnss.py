@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from math import exp, radians, sqrt
 from typing import ClassVar
 
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from kfenv.checks import is_number
 from kfenv.models.model import Motion, Sensor
 from kfenv.models.navigation_fix import navigation_fix
-from kfenv.models.strapdown import strapdown
+from kfenv.models.strapdown import GRAVITY, strapdown
+from kfenv.models.strapdown_biases import strapdown_with_biases
 from kfenv.scenarios.faults import (
     FAULTS,
     Draft,
@@ -36,6 +37,7 @@ from kfenv.scenarios.inertial.faults import (
 from kfenv.scenarios.inertial.flights import exact_samples, paper_flight, random_flight
 from kfenv.scenarios.inertial.log import InertialLog
 from kfenv.scenarios.inertial.reading import check_paths, read_log
+from kfenv.scenarios.inertial.teaching import Lessons, lessons
 from kfenv.scenarios.recording import Recording, stack
 from kfenv.scenarios.scenario import TrackingScenario
 from kfenv.scenarios.trajectories import MAX_DURATION
@@ -44,6 +46,12 @@ Array = NDArray[np.float64]
 
 SAMPLE_RATE = 100.0  # Hz, at which the noise of an inertial sample is given
 INSTABILITY_TIME = 100.0  # s, correlation time of a wandering bias
+
+# Standard deviations after a second: S4 Table 1, and a small unit on a vehicle
+PAPER_NOISE, UNIT_NOISE = (10.0, 2.0, 0.5), (0.01, 0.02, 0.05)
+FIRST_BIAS = (0.3, 0.5)  # m/s^2, deg/s: of a log's unit before anything is known of it
+OUTAGE = 15.0  # s, of the schedule
+LEAST_BIAS = (1e-4, 1e-4)  # in the same units: a filter's factor has no zeros
 
 
 @dataclass(frozen=True)
@@ -62,8 +70,12 @@ class InsGnss(TrackingScenario):
     imu_noise: tuple[float, float] = (0.3, 0.3)
     imu_bias: tuple[float, float] = (0.1, 0.1)
     imu_instability: tuple[float, float] = (0.0, 0.0)
-    process_noise: tuple[float, float, float] = (10.0, 2.0, 0.5)
+    process_noise: tuple[float, float, float] | None = None
     log: Sequence[str] | None = None
+    biases: bool | None = None
+    bias_drift: tuple[float, float] = (2e-3, 2e-3)
+    bias_time: tuple[float, float] = (1000.0, 1000.0)
+    earth: bool = False
 
     name: ClassVar[str] = "InsGnss"
     initial_deviation: ClassVar[tuple[float, ...]] = (100.0, 10.0, radians(10.0))
@@ -92,20 +104,38 @@ class InsGnss(TrackingScenario):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.log is not None:
-            object.__setattr__(self, "log", check_paths(self.log))
-            object.__setattr__(self, "measurement_rate", self.rate / self._log.steps_per_fix)
-            self._log.starts(self.duration, "tuning")  # complains
+        self._settle_defaults()
         _check_fix_noise(self.gnss_noise)
         _check_numbers(self, "process_noise", ("m", "m/s", "deg"))
         for name in ("imu_noise", "imu_bias", "imu_instability"):
             _check_numbers(self, name, ("m/s^2", "deg/s"), zero=True)
+        _check_numbers(self, "bias_drift", ("m/s^2", "deg/s"))
+        _check_numbers(self, "bias_time", ("s", "s"))
+        if self.earth and not (self.biases and self.log is not None):
+            raise ValueError(
+                "earth=True is for a log and a filter with biases: simulated flights are over a "
+                "flat Earth at rest."
+            )
+        _ = self.motion  # complains
+        if self.log is not None:
+            self._log.starts(self.duration, "tuning")  # complains
         self._check_measurement_rate()
         if self.log is None and self.faults != "paper" and self.duration > MAX_DURATION:
             raise ValueError(
                 f"A random flight lasts at most {MAX_DURATION:g} s, got duration="
                 f"{self.duration!r}: run more episodes instead."
             )
+
+    def _settle_defaults(self) -> None:
+        """What a log gives, or has other defaults for than a simulation."""
+        real = self.log is not None
+        if real:
+            object.__setattr__(self, "log", check_paths(self.log))
+            object.__setattr__(self, "measurement_rate", self.rate / self._log.steps_per_fix)
+        if self.process_noise is None:
+            object.__setattr__(self, "process_noise", UNIT_NOISE if real else PAPER_NOISE)
+        if self.biases is None:
+            object.__setattr__(self, "biases", real)
 
     def _check_measurement_rate(self) -> None:
         if not is_number(self.measurement_rate) or not self.measurement_rate > 0.0:
@@ -122,9 +152,11 @@ class InsGnss(TrackingScenario):
 
     @cached_property
     def motion(self) -> Motion:
-        """Strapdown mechanisation driven by the samples."""
-        position, velocity, attitude = self.process_noise
-        return strapdown((position, velocity, radians(attitude)))
+        """Strapdown mechanisation driven by the samples, with or without their biases."""
+        if not self.biases:
+            return _motion(tuple(self.process_noise))
+        drift, time = tuple(self.bias_drift), tuple(self.bias_time)
+        return _motion(tuple(self.process_noise), drift, time, bool(self.earth))
 
     @cached_property
     def sensor(self) -> Sensor:
@@ -134,6 +166,11 @@ class InsGnss(TrackingScenario):
     @property
     def _log(self) -> InertialLog:
         return read_log(self.log, float(self.rate))
+
+    @property
+    def _lessons(self) -> Lessons:
+        bias = tuple(self._bias_deviations(FIRST_BIAS).tolist())
+        return lessons(self._log, self.motion, bias)
 
     @property
     def circular(self) -> tuple[int, ...]:
@@ -147,8 +184,14 @@ class InsGnss(TrackingScenario):
 
     @property
     def initial_deviations(self) -> Array:
-        """Standard deviations (9,) of the initial estimate."""
-        return np.repeat(self.initial_deviation, 3)
+        """Standard deviations (9,) of the initial estimate, or (15,) with the unit's biases."""
+        bias = self._bias_deviations(np.hypot(self.imu_bias, self.imu_instability))
+        return np.concatenate([np.repeat(self.initial_deviation, 3), bias])
+
+    def _bias_deviations(self, given: Sequence[float]) -> Array:
+        """Of six biases, SI, given in m/s^2 and deg/s; none of a filter without."""
+        force, rate = np.maximum(given, LEAST_BIAS)
+        return np.repeat([force, radians(rate)], 3) if self.biases else np.empty(0)
 
     @property
     def fix_deviations(self) -> Array:
@@ -162,64 +205,111 @@ class InsGnss(TrackingScenario):
         return np.zeros(3), np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
     def recorded(self, split: str, episodes: int) -> Recording | None:
-        """The windows of a log that are kept for validation or test, None for other episodes.
+        """The windows of a log that are kept for a split, None for other episodes.
+
+        Outages follow a fixed schedule, in every split: those of validation and test tile
+        their part, those to tune on are as many as asked. Other faults spoil windows that
+        do not overlap, and tuning draws its own.
 
         Raises:
             ValueError: if the log is too short for one.
         """
-        if self.log is None or split == "tuning":
+        if self.log is None:
             return None
-        starts = self._log.apart(self.duration, split)[:episodes]
+        if self._misses_fixes:
+            tiles = self._log.apart(self.duration, split, self.outage)
+            if split == "tuning":
+                tiles = self._log.starts(self.duration, split)
+            chosen = np.rint(np.linspace(0, len(tiles) - 1, min(episodes, len(tiles))))
+            return self._outages(tiles[chosen.astype(np.int64)])
+        if split == "tuning":
+            return None
+        starts = self._log.apart(self.duration, split, self.duration + 1.0 / self.rate)[:episodes]
         return stack([self._replay(start, np.random.default_rng(start)) for start in starts])
+
+    @property
+    def outage(self) -> float:
+        """Length of an outage on the schedule, s: it ends its window, and is at most 0.6 of it."""
+        return min(OUTAGE, 0.6 * self.duration)
+
+    @property
+    def _misses_fixes(self) -> bool:
+        return self.faults in ("random", "outages")
+
+    def outages_at(self, times: Sequence[float]) -> Recording:
+        """Windows of a log in which the fixes after these times, s of its clock, are withheld.
+
+        Each begins `duration` less `outage` before its time and ends with its outage.
+
+        Raises:
+            ValueError: if a window is not within the log, after the vehicle first moved.
+        """
+        places = [self._log.place_before(time, self.duration, self.outage) for time in times]
+        return self._outages(np.array(places))
+
+    def _outages(self, starts: Array) -> Recording:
+        lead = self.duration - self.outage + 0.5 / self.rate  # the fix at its begin is the last
+        fault = SignalLoss(duration=(self.outage, self.outage), start=lead)
+        return stack([self._replay(i, np.random.default_rng(i), (fault,)) for i in starts])
 
     def episode(self, rng: Generator) -> Recording:
         """Draw one episode, or a window of the log's part for training."""
         if self.log is None:
             return super().episode(rng)
-        return self._replay(rng.choice(self._log.starts(self.duration, "tuning")), rng)
+        faults = self.presets["outages"] if self._misses_fixes else None
+        return self._replay(rng.choice(self._log.starts(self.duration, "tuning")), rng, faults)
 
-    def spoil(self, draft: Draft, rng: Generator) -> None:
-        """Apply the faults in turn; to a log the default ones are outages."""
-        if self.log is None or self.faults != "random":
-            super().spoil(draft, rng)
-        else:
-            for fault in self.presets["outages"]:
-                fault.apply(draft, rng)
-
-    def _replay(self, start: int, rng: Generator) -> Recording:
+    def _replay(
+        self, start: int, rng: Generator, faults: Sequence[Fault] | None = None
+    ) -> Recording:
         """A window of the log; faults that raise the noise add what is missing to it."""
         window = self._log.window(start, self.duration)
+        inputs = self._log.motion_inputs(window.rows, start, len(self.motion.inputs))
         draft = Draft.clean(
-            self.time, window.fix.shape[1], exact=window.fix, motion_inputs=window.samples.copy(),
+            self.time, window.fix.shape[1], exact=window.fix, motion_inputs=inputs,
             sensor_inputs=np.empty((len(self.time), 0)),
         )  # fmt: skip
         draft.available[:] = window.arrived[:, None]
-        self.spoil(draft, rng)
+        if faults is None:
+            self.spoil(draft, rng)
+        for fault in faults or ():
+            fault.apply(draft, rng)
         missing = np.sqrt(np.maximum(draft.noise_factor**2 - 1.0, 0.0)) * window.deviation
         measurement = draft.exact + missing * rng.standard_normal(missing.shape)
         measurement[~draft.available] = np.nan
         withheld = window.arrived & ~draft.available.any(axis=1)
+        mean, factor = self._lessons.at(start)
+        unknown = np.zeros((len(self.time), len(mean) - window.truth.shape[1]))
         return Recording(
             time=self.time,
             measurement=measurement[None],
             noise=(window.deviation * draft.told_factor)[None],
-            mean=window.mean[None],
-            factor=window.factor[None],
+            mean=mean[None],
+            factor=factor[None],
             motion_inputs=draft.motion_inputs[None],
             sensor_inputs=draft.sensor_inputs[None],
-            truth=window.truth[None],
+            truth=np.hstack([window.truth, unknown])[None],
             true_noise=(window.deviation * draft.noise_factor)[None],
             scored=withheld[None] if self._log.truth is None else None,
             faults=(tuple(draft.intervals),),
         )
 
     def trajectory(self, rng: Generator) -> Array:
-        """The flight of the paper's case, or a random one: truth (T, 9)."""
-        return paper_flight(self.time) if self.faults == "paper" else random_flight(rng, self.time)
+        """The flight of the paper's case, or a random one: truth (T, 9); (T, 15) with biases."""
+        flight = (
+            paper_flight(self.time) if self.faults == "paper" else random_flight(rng, self.time)
+        )
+        if not self.biases:
+            return flight
+        return np.hstack([flight, self._constant(rng) + self._wandering(rng)])
 
     def draft(self, truth: Array, rng: Generator) -> Draft:
         """Inertial samples with the unit's errors, and a fix every so many of them."""
-        samples = exact_samples(truth, self.time) + self.inertial_errors(rng)
+        samples = exact_samples(truth[:, :9], self.time)
+        samples = samples + (self._white(rng) + truth[:, 9:] if self.biases
+                             else self.inertial_errors(rng))  # fmt: skip
+        if self.biases:
+            samples = np.hstack([samples, np.tile([GRAVITY, 0.0, 0.0], (len(samples), 1))])
         draft = self.clean(Draft, truth, samples)
         draft.available[:] = False
         draft.available[:: self.steps_per_measurement] = True
@@ -236,15 +326,39 @@ class InsGnss(TrackingScenario):
         In the paper's case the bias is the given one on every axis; otherwise it is
         drawn with that deviation.
         """
-        noise, bias, wander = (
-            np.repeat([force, radians(rate)], 3)
-            for force, rate in (self.imu_noise, self.imu_bias, self.imu_instability)
-        )
-        steps = len(self.time)
-        white = sqrt(self.rate / SAMPLE_RATE) * noise * rng.standard_normal((steps, 6))
-        drawn = rng.standard_normal(6)
-        constant = bias if self.faults == "paper" else bias * drawn
-        return white + constant + wander * _markov(rng, steps, 1.0 / self.rate)
+        return self._white(rng) + self._constant(rng) + self._wandering(rng)
+
+    def _white(self, rng: Generator) -> Array:
+        noise = rng.standard_normal((len(self.time), 6))
+        return sqrt(self.rate / SAMPLE_RATE) * _of_unit(self.imu_noise) * noise
+
+    def _constant(self, rng: Generator) -> Array:
+        drawn, bias = rng.standard_normal(6), _of_unit(self.imu_bias)
+        return bias if self.faults == "paper" else bias * drawn
+
+    def _wandering(self, rng: Generator) -> Array:
+        unit = _markov(rng, len(self.time), 1.0 / self.rate)
+        return _of_unit(self.imu_instability) * unit
+
+
+@lru_cache(maxsize=16)
+def _motion(
+    process_noise: tuple[float, float, float],
+    drift: tuple[float, float] | None = None,
+    time: tuple[float, float] | None = None,
+    earth: bool = False,
+) -> Motion:
+    """One object for equal parameters, so that what is made for it is found again."""
+    position, velocity, attitude = process_noise
+    process = position, velocity, radians(attitude)
+    if drift is None or time is None:
+        return strapdown(process)
+    return strapdown_with_biases(process, (drift[0], radians(drift[1])), time, earth)
+
+
+def _of_unit(pair: tuple[float, float]) -> Array:
+    """Six numbers, SI, from m/s^2 and deg/s."""
+    return np.repeat([pair[0], radians(pair[1])], 3)
 
 
 def _markov(rng: Generator, steps: int, dt: float) -> Array:

@@ -8,11 +8,13 @@ are the yardstick: only there do errors count.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kfenv.models.strapdown import GRAVITY
+from kfenv.models.strapdown_biases import local_gravity
 from kfenv.scenarios.inertial.files import MOVING, FixLog, ImuLog
 
 Array = NDArray[np.float64]
@@ -22,7 +24,7 @@ Indices = NDArray[np.int64]
 PARTS = {"tuning": (0.0, 0.3), "validation": (0.3, 0.5), "test": (0.5, 1.0)}
 
 CHANNELS = 6
-ALIGNMENT = 1.0  # s of samples before and after a window's start that give its attitude
+ALIGNMENT = 1.0  # s of samples before and after a fix that give the first attitude
 ALIGNED = np.radians([3.0, 3.0, 10.0])  # how well: roll and pitch by gravity, yaw by the course
 
 
@@ -31,21 +33,18 @@ class Window:
     """A stretch of T instants of a log, in the north-east-down frame at its first fix.
 
     Attributes:
-        samples: (T, 6), row t for the step from t - 1 to t.
+        rows: (T,) its instants among the log's.
         fix: (T, 6) position and velocity, zero where no fix falls on the instant.
         deviation: (T, 6) of the fixes.
         arrived: (T,) whether a fix falls on the instant.
-        mean, factor: initial state (9,) and factor (9, 9), from the first fix, which is spent.
         truth: (T, 9) the true track, or the one that the fixes suggest; of the attitude the
             yaw alone, as the course.
     """
 
-    samples: Array
+    rows: Indices
     fix: Array
     deviation: Array
     arrived: NDArray[np.bool_]
-    mean: Array
-    factor: Array
     truth: Array
 
 
@@ -76,6 +75,22 @@ class InertialLog:
         """Usual number of instants from one fix to the next."""
         return max(1, round(self.fixes.interval * self.rate))
 
+    @cached_property
+    def first_moving(self) -> int:
+        """The first place in `used` at which the course tells the yaw.
+
+        Raises:
+            ValueError: if the vehicle never moves fast enough.
+        """
+        speed = np.hypot(*self.fixes.velocity[self.used, :2].T)
+        moving = np.flatnonzero((speed > MOVING) & (self.row >= ALIGNMENT * self.rate))
+        if not len(moving):
+            raise ValueError(
+                f"{self.fixes.path}: the vehicle never moves faster than {MOVING:g} m/s, which "
+                "its yaw is aligned by."
+            )
+        return int(moving[0])
+
     def starts(self, duration: float, part: str) -> Indices:
         """All places in `used` at which a window of that part may begin.
 
@@ -83,33 +98,43 @@ class InertialLog:
             ValueError: if there is none.
         """
         low, high = (share * (len(self.time) - 1) for share in PARTS[part])
-        whole = self.time[-1] - self.time[0]
-        margin = ALIGNMENT * self.rate
-        first = np.maximum(low, margin)
         last = np.minimum(high, len(self.time) - 1) - round(duration * self.rate)
-        speed = np.hypot(*self.fixes.velocity[self.used, :2].T)
-        room = (self.row >= first) & (self.row <= last)
-        if not room.any():
+        places = np.flatnonzero((self.row >= low) & (self.row <= last))
+        places = places[places >= self.first_moving]
+        if not len(places):
+            whole, since = self.time[-1] - self.time[0], self.time[self.row[self.first_moving]]
             raise ValueError(
                 f"{self.imu.path}: the part for {part} ({np.ptp(PARTS[part]):.0%} of "
-                f"{whole:.4g} s) has no room for a window of {duration:g} s; give a longer log or "
-                "a shorter duration."
-            )
-        places = np.flatnonzero(room & (speed > MOVING))
-        if not len(places):
-            raise ValueError(
-                f"{self.fixes.path}: in the part for {part} the vehicle never moves faster than "
-                f"{MOVING:g} m/s, which its yaw is aligned by; leave out where it stands."
+                f"{whole:.4g} s) has no room for a window of {duration:g} s after the vehicle "
+                f"first moves, at t = {since:.10g} s; give a longer log or a shorter duration."
             )
         return places
 
-    def apart(self, duration: float, part: str) -> Indices:
-        """Starts of windows that do not overlap, as many as fit."""
+    def apart(self, duration: float, part: str, every: float) -> Indices:
+        """Starts of windows at least so many seconds apart, as many as fit."""
         chosen: list[int] = []
         for place in self.starts(duration, part):
-            if not chosen or self.row[place] > self.row[chosen[-1]] + round(duration * self.rate):
+            if not chosen or self.row[place] >= self.row[chosen[-1]] + round(every * self.rate):
                 chosen.append(int(place))
         return np.array(chosen)
+
+    def place_before(self, time: float, duration: float, outage: float) -> int:
+        """Where a window begins whose fixes after a time are withheld until its end.
+
+        Raises:
+            ValueError: if it is not within the log, after the vehicle first moved.
+        """
+        begin = time - (duration - outage)
+        place = int(np.searchsorted(self.time[self.row], begin + 0.5 / self.rate)) - 1
+        first, last = self.time[self.row[self.first_moving]], self.time[-1] - duration
+        if place < self.first_moving or begin > last:
+            raise ValueError(
+                f"{self.imu.path}: an outage at t = {time:.10g} s needs a window from "
+                f"{begin:.10g} to {begin + duration:.10g} s, and windows lie between "
+                f"{first:.10g}, when the vehicle first moves, and {self.time[-1]:.10g} s: give "
+                "another time or a shorter duration."
+            )
+        return place
 
     def window(self, start: int, duration: float) -> Window:
         """The window that begins at a fix."""
@@ -117,7 +142,7 @@ class InertialLog:
         rows = begin + np.arange(round(duration * self.rate) + 1)
         used, places = self._decisions(start, rows)
         origin = self.fixes.place[used[0]]
-        fixes = self._local(self.fixes, used, origin)
+        fixes = self.local(self.fixes, used, origin)
         # moved along its velocity to the instant that it falls on
         late = self.time[rows[places]] - self.fixes.time[used]
         fixes[:, :3] += late[:, None] * fixes[:, 3:]
@@ -127,12 +152,24 @@ class InertialLog:
         arrived = np.zeros(len(rows), bool)
         arrived[places] = True
         arrived[0] = False
-        attitude = self.aligned(start)
         truth = self._track(self.time[rows], origin)
-        return Window(
-            self.samples[rows], fix, deviation, arrived, np.concatenate([fixes[0], attitude]),
-            np.diag(np.concatenate([self.fixes.deviation[used[0]], ALIGNED])), truth,
-        )  # fmt: skip
+        return Window(rows, fix, deviation, arrived, truth)
+
+    def motion_inputs(self, rows: slice | Indices, place: int, inputs: int) -> Array:
+        """Samples (k, 6) of instants; of a motion with more inputs also what it asks of a place.
+
+        Args:
+            rows: the instants.
+            place: in `used`, of the fix where the frame begins.
+            inputs: of the motion, 6 or 9.
+        """
+        samples = self.samples[rows]
+        if inputs == samples.shape[1]:
+            return samples
+        degrees, _, height = self.fixes.place[self.used[place]]
+        latitude = np.radians(degrees)
+        told = [local_gravity(latitude, height), latitude, height]
+        return np.hstack([samples, np.tile(told, (len(samples), 1))])
 
     def _decisions(self, start: int, rows: Indices) -> tuple[Indices, Indices]:
         """The fixes of a window and their places in it, multiples of the steps per fix.
@@ -150,11 +187,12 @@ class InertialLog:
         inside = places < len(rows)
         return self.used[chosen[nearest_first[first]]][inside], places[inside]
 
-    def _local(self, log: FixLog, rows: Indices, origin: Array) -> Array:
-        """Positions north, east, down of the origin, and velocities, (k, 6)."""
+    def local(self, log: FixLog, rows: Indices, origin: Array) -> Array:
+        """Way north and east of the origin, height below it, and velocities, (k, 6)."""
         import pymap3d
 
-        position = pymap3d.geodetic2ned(*log.place[rows].T, *origin)
+        north, east, _ = pymap3d.geodetic2ned(*log.place[rows].T, *origin)
+        position = north, east, origin[2] - log.place[rows, 2]
         return np.hstack([np.stack(position, axis=1), log.velocity[rows]])
 
     def _track(self, time: Array, origin: Array) -> Array:
@@ -165,7 +203,7 @@ class InertialLog:
         first = np.searchsorted(log.time, time[0], side="right") - 1
         last = np.searchsorted(log.time, time[-1])
         near = np.arange(max(first - 1, 0), min(last + 2, len(log.time)))
-        local = self._local(log, near, origin)
+        local = self.local(log, near, origin)
         spline = CubicHermiteSpline(log.time[near], local[:, :3], local[:, 3:])
         position, velocity = spline(time), spline.derivative()(time)
         states = np.zeros((len(time), 9))
