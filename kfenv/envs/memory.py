@@ -177,7 +177,7 @@ def of_channel() -> tuple[str, ...]:
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def remember(innovation, variance, noise, group_of_channel, chosen, active, channels, groups):
     """Take the innovations (B, m) of the active filters into the memory."""
     for b in range(innovation.shape[0]):
@@ -205,7 +205,7 @@ def remember(innovation, variance, noise, group_of_channel, chosen, active, chan
             _remember_group(noise, group_of_channel, channels, b, g, groups)
 
 
-@njit
+@njit(error_model="numpy")
 def _remember_group(noise, group_of_channel, channels, b, g, groups):
     total, square, largest, over, lagged, told, count = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0
     for c in range(group_of_channel.shape[0]):
@@ -238,7 +238,7 @@ def _remember_group(noise, group_of_channel, channels, b, g, groups):
     row[PRODUCT] += (lagged / count - row[PRODUCT]) / PRODUCTS
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def tell_groups(group_of_channel, size, pends, channels, groups, out):
     """Write what is told of the groups, zero for the present where nothing pends.
 
@@ -265,7 +265,7 @@ def tell_groups(group_of_channel, size, pends, channels, groups, out):
     return at
 
 
-@njit
+@njit(error_model="numpy")
 def _tell_sizes(groups, size, pends, b, g, out, at):
     row = groups[b, g]
     for i in range(4):
@@ -282,7 +282,7 @@ def _tell_sizes(groups, size, pends, b, g, out, at):
     return at + 1
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def tell_motion(
     mean, position, velocity, origin, turn, acceleration, error_scale, held, out
 ):  # fmt: skip
@@ -297,7 +297,7 @@ def tell_motion(
         out[b, 3] = bounded(log1p(strength))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def tell_channels(chosen, pends, channels, out):
     """Write what is told of the single channels that have a knob."""
     for b in range(channels.shape[0]):
@@ -316,7 +316,7 @@ def tell_channels(chosen, pends, channels, out):
             out[b, at + 1] = row[SHARE] if here else 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def differentiate(mean, velocity, dt, active, last, change):
     """Follow how fast the estimated velocity changes, over about `SMOOTHING` seconds."""
     for b in range(mean.shape[0]):
@@ -330,7 +330,7 @@ def differentiate(mean, velocity, dt, active, last, change):
             last[b, i] = now
 
 
-@njit
+@njit(error_model="numpy")
 def _distance(state, rows, origin):
     total = 0.0
     for i in range(3):
@@ -338,11 +338,11 @@ def _distance(state, rows, origin):
     return sqrt(total)
 
 
-@njit
+@njit(error_model="numpy")
 def _capped(value):
     return max(-MOST, min(MOST, value))
 
 
-@njit
+@njit(error_model="numpy")
 def _log_root(square):
     return bounded(0.5 * log(square + 1e-4))

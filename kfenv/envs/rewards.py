@@ -58,7 +58,7 @@ def book(reward: str, mean_square: Array, to_come: Array, error_scale: float, co
     return -added
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _book(mean_square, to_come, error_scale, logarithmic, cost, added):
     for b in range(cost.shape[0]):
         root = sqrt(mean_square[b]) / error_scale
@@ -74,7 +74,7 @@ def worst(reward: str, error_scale: float, lost_distance: float) -> float:
     return log(ratio) if reward == LOG_RMSE else ratio
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def improvement(nominal_squared, squared, reward):
     """Log of the nominal filter's RMS error over this one's, capped."""
     for b in range(reward.shape[0]):

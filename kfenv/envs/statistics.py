@@ -7,7 +7,7 @@ gets the same bits.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import exp, isnan, log, nan, sqrt
+from math import exp, inf, isnan, log, nan, sqrt
 
 import numpy as np
 from numba import njit
@@ -39,7 +39,7 @@ def feature_names(groups: Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def turn_knobs(action, log_low, log_high, position, factors):
     """Write the factors of the exposed knobs; `position` is each one's place in `factors`."""
     for b in range(action.shape[0]):
@@ -48,10 +48,15 @@ def turn_knobs(action, log_low, log_high, position, factors):
             factors[b, position[k]] = exp(a * log_high[k]) if a >= 0.0 else exp(-a * log_low[k])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def score(mean, factor, truth, position, status, error, nees):
-    """Position error and position NEES (3 degrees of freedom) of each running filter."""
-    P, L, e = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
+    """Position error and position NEES (3 degrees of freedom) of each running filter.
+
+    The NEES works on the factor's rows: their products lose the smaller of two deviations that
+    differ by 1e8.
+    """
+    states = factor.shape[2]
+    rows, e = np.zeros((3, states)), np.zeros(3)
     for b in range(mean.shape[0]):
         if status[b] != 0:
             continue
@@ -59,27 +64,42 @@ def score(mean, factor, truth, position, status, error, nees):
         for i in range(3):
             e[i] = mean[b, position[i]] - truth[b, position[i]]
             squared += e[i] * e[i]
-            for j in range(i + 1):
-                value = 0.0
-                for k in range(position[j] + 1):
-                    value += factor[b, position[i], k] * factor[b, position[j], k]
-                P[i, j] = value
+            for k in range(states):
+                rows[i, k] = factor[b, position[i], k] if k <= position[i] else 0.0
         error[b] = sqrt(squared)
-        nees[b] = 0.0
-        for i in range(3):
-            residual = e[i]
-            for j in range(i + 1):
-                value = P[i, j]
-                for k in range(j):
-                    value -= L[i, k] * L[j, k]
-                L[i, j] = sqrt(value) if i == j else value / L[j, j]
-                if j < i:
-                    residual -= L[i, j] * e[j]
-            e[i] = residual / L[i, i]
-            nees[b] += e[i] * e[i]
+        nees[b] = _normalised_square(rows, e)
 
 
-@njit(cache=True)
+@njit(error_model="numpy")
+def _normalised_square(rows, e):
+    """e^T (R R^T)^-1 e from the rows of R, by modified Gram-Schmidt; both are used up.
+
+    NaN where the rows depend on each other, so that R R^T is not positive definite.
+    """
+    total = 0.0
+    for i in range(3):
+        length = sqrt(_product(rows[i], rows[i]))
+        if not 0.0 < length < inf:
+            return nan
+        rows[i] /= length
+        e[i] /= length
+        total += e[i] * e[i]
+        for j in range(i + 1, 3):
+            along = _product(rows[i], rows[j])
+            rows[j] -= along * rows[i]
+            e[j] -= along * e[i]
+    return total
+
+
+@njit(error_model="numpy")
+def _product(one, other):
+    total = 0.0
+    for k in range(one.shape[0]):
+        total += one[k] * other[k]
+    return total
+
+
+@njit(cache=True, error_model="numpy")
 def account(
     error, nees, status, nominal_error, lost_distance, index, active, lost,
     squared, nominal, total_nees, count,
@@ -105,7 +125,7 @@ def account(
             active[b] = index[b] < nominal_error.shape[1]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def collect(whitened, group_of_channel, statistics, since, dt, status):
     """Take a pending innovation into the running statistics of each running filter."""
     groups = statistics.shape[1]
@@ -132,7 +152,7 @@ def collect(whitened, group_of_channel, statistics, since, dt, status):
         since[b] = 0.0 if arrived else since[b] + dt[b]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def observe(
     whitened, variance, sd, factor, position, velocity, error_scale, group_of_channel,
     statistics, since, pending, out,
@@ -167,19 +187,19 @@ def observe(
         out[b, at + 2] = bounded(log(_deviation(factor[b], velocity) / (0.1 * error_scale)))
 
 
-@njit
+@njit(error_model="numpy")
 def signed_log(value):
     """sign(value) log(1 + abs(value)), within the bound of a feature."""
     return bounded(log(1.0 + value) if value >= 0.0 else -log(1.0 - value))
 
 
-@njit
+@njit(error_model="numpy")
 def bounded(value):
     """The value, or the bound of a feature beyond it."""
     return max(-BOUND, min(BOUND, value)) if not isnan(value) else nan
 
 
-@njit
+@njit(error_model="numpy")
 def _deviation(factor, rows):
     total = 0.0
     for i in range(rows.shape[0]):

@@ -96,7 +96,7 @@ class MisreportBank(Bank):
         return components
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _learn(innovation, variance, weight, believed, level, told, grid, leak, belief):
     """Take a measurement into each channel's misreport; a missing one changes nothing.
 
@@ -132,7 +132,7 @@ def _learn(innovation, variance, weight, believed, level, told, grid, leak, beli
                     belief[b, c, k] = (1.0 - leak) * posterior[k] / known + leak / count
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _likelihoods(innovation, explained, deviation, grid, density):
     """N(nu; 0, explained + (grid deviation)^2), but for a factor that keeps the greatest at 1."""
     most = -np.inf

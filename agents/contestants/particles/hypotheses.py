@@ -26,7 +26,7 @@ class Situation(NamedTuple):
     motion: NDArray[np.int64]  # (R,) index of the process noise
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def choose(innovation, root, noise, told, dt, process_noise, switching, start, ending, factor,
            glint, uniform, situation, deviation, log_weight):  # fmt: skip
     """Draw each particle's next situation from its posterior given the pending measurement.
@@ -85,14 +85,14 @@ def choose(innovation, root, noise, told, dt, process_noise, switching, start, e
             deviation[r, c] = told[r, c] * scale * exp(situation.misreport[r, c])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _square(A, P):
     for i in range(A.shape[0]):
         for j in range(i + 1):
             P[i, j] = np.sum(A[i] * A[j])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _bursts(r, dt, start, ending, factor, uniform, situation, factors, chances):
     """First the noise as it is, then without a burst, then bursts that start now."""
     now, age = situation.factor[r], situation.age[r]
@@ -110,7 +110,7 @@ def _bursts(r, dt, start, ending, factor, uniform, situation, factors, chances):
         factors[2 + k], chances[2 + k] = max(drawn, now), begins / STRATA
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _glint_chance(glints, arrivals, glint):
     """Of one at the next arrival, from those that there were."""
     chance, share = glint[0], glint[1]
@@ -122,7 +122,7 @@ def _glint_chance(glints, arrivals, glint):
     return share * quiet / (quiet + 1.0 - chance)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _log_likelihood(innovation, plain, driven, q, told, misreport, scale, S):
     """Of the channels that arrived, up to a constant; S is for the factor of their covariance.
 
@@ -152,7 +152,7 @@ def _log_likelihood(innovation, plain, driven, q, told, misreport, scale, S):
     return result
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _draw(joint, target):
     """The hypothesis at which the sum of their weights passes the target."""
     total = 0.0
@@ -168,7 +168,7 @@ def _draw(joint, target):
     return q, k, g
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _take(r, q, k, g, dt, factors, innovation, situation):
     """Make the hypothesis the particle's situation."""
     situation.motion[r] = q

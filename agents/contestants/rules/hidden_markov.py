@@ -140,7 +140,7 @@ def prior(model: FaultModel, batch: int, channels: int) -> Belief:
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def hear(innovation, variance, told, passed, up, down, leak, grid, belief):
     """Take the pending innovations into the belief.
 
@@ -189,7 +189,7 @@ def hear(innovation, variance, told, passed, up, down, leak, grid, belief):
     return factor, evidence
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _move(level, passed, up, down):
     """The chain's step: up to any disturbed level, down, or from one of them to another."""
     disturbed = len(level) - 1
@@ -207,7 +207,7 @@ def _move(level, passed, up, down):
             level[i] += others * hop / (disturbed - 1)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _weigh(innovation, precision, density):
     """Likelihood at each precision, but for a factor that keeps the greatest of order one.
 
@@ -220,7 +220,7 @@ def _weigh(innovation, precision, density):
     return 0.5 * log(least / TWO_PI) - half * least
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _likelihood(density, misreport, grid, single):
     """Of one channel for each level, without and with glint: over all its misreports."""
     for g in range(single.shape[0]):
@@ -231,7 +231,7 @@ def _likelihood(density, misreport, grid, single):
             single[g, i] = max(total, TINY)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _posterior(innovation, single, level, glints, b, grid, joint):
     """Levels with and without glint given all channels; level and glints take them in.
 
@@ -263,7 +263,7 @@ def _posterior(innovation, single, level, glints, b, grid, joint):
     return most + log(total)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _misreported(joint, single, density, precision, leak, grid, misreport):
     """Take a measurement into a channel's misreport; E[1 / variance of the innovation]."""
     count, mean = len(misreport), 0.0

@@ -116,7 +116,7 @@ def range_errors(scenario: Any) -> RangeErrors:
     return RangeErrors(error, speed, begin, end, AGES / ramp.duration[1], ramps)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def follow(residual, variance, passed, rate, errors, states):
     """Take what is not explained into the satellites' states (B, 12, K), in place.
 
@@ -135,7 +135,7 @@ def follow(residual, variance, passed, rate, errors, states):
             _weigh(state, residual[b, satellites + c], variance[b, satellites + c], errors.speed)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _move(state, passed, rate, errors):
     """Faults begin and end, and ramps grow older."""
     fails, older = state[0] * (1.0 - exp(-rate * passed)), 1.0 - exp(-errors.age * passed)
@@ -150,7 +150,7 @@ def _move(state, passed, rate, errors):
         state[k] += fails * errors.begin[k]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _weigh(state, residual, variance, errors):
     """Multiply by the likelihood of a residual, nothing if that is missing."""
     if np.isnan(residual):
