@@ -63,6 +63,22 @@ def car(
     return _recorded(rng, time, states, every), states
 
 
+def stop_and_go(duration: float = 200.0, rate: float = 20.0, every: int = 5) -> Drive:
+    """A car that stands for 20 s of every 50 and shakes its unit when it moves."""
+    rng = np.random.default_rng(1)
+    time = np.arange(round(duration * rate) + 1) / rate
+    since = time % 50.0
+    speed = 12.0 * np.clip(np.minimum((since - 20.0) / 4.0, (50.0 - since) / 4.0), 0.0, 1.0)
+    yaw = np.cumsum(0.04 * speed * np.sin(time / 9.0)) / rate
+    states = np.zeros((len(time), 9))
+    states[:, 3], states[:, 4], states[:, 8] = speed * np.cos(yaw), speed * np.sin(yaw), yaw
+    states[1:, :3] = np.cumsum(0.5 / rate * (states[1:, 3:6] + states[:-1, 3:6]), axis=0)
+    log = _recorded(rng, time, states, every)
+    shaken = np.array([0.5] * 3 + [0.02] * 3) * rng.standard_normal((len(time), 6))
+    log.imu[:, 1:] += np.where(speed[:, None] > 0.0, shaken, 0.0)
+    return log
+
+
 def _recorded(rng: Generator, time: Array, states: Array, every: int, noisy: bool = True) -> Drive:
     samples = exact_samples(states, time)
     deviation = np.tile(DEVIATION, (len(time[::every]), 1))

@@ -93,6 +93,14 @@ class InsGnssEnv(TrackingEnv):
     - ``bias_time``: their correlation times, s, default {scenario.bias_time}.
     - ``earth``: whether that filter also takes the Earth's rotation, its curvature and the
       loss of gravity with height into account (default no): for a long ``log``.
+    - ``constraints``: what a vehicle on wheels cannot do, measured as nothing beside the fixes
+      of a ``log``, in outages too, each a channel group with a knob of its own; default
+      {scenario.constraints}. ``"non_holonomic"``: its velocity to the right and along the body's
+      down axis is zero. ``"zero_velocity"`` and, with biases, ``"zero_rate"``: it stands, and
+      the gyroscopes measure their biases, while the samples are as quiet as where the fixes of
+      the log's first 30 % say that it stands.
+    - ``constraint_noise``: standard deviations of these, m/s, m/s and deg/s, default
+      {scenario.constraint_noise}.
     - ``faults``: what spoils an episode.
 
       - ``"random"`` (default; with a ``log`` as ``"outages"``): {preset[random]}.

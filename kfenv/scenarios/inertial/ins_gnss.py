@@ -17,6 +17,7 @@ from kfenv.models.model import Motion, Sensor
 from kfenv.models.navigation_fix import navigation_fix
 from kfenv.models.strapdown import GRAVITY, strapdown
 from kfenv.models.strapdown_biases import strapdown_with_biases
+from kfenv.models.vehicle_constraints import CHANNELS, with_constraints
 from kfenv.scenarios.faults import (
     FAULTS,
     Draft,
@@ -26,6 +27,12 @@ from kfenv.scenarios.faults import (
     NoiseMisreport,
     SignalLoss,
 )
+from kfenv.scenarios.inertial.arguments import (
+    check_constraints,
+    check_fix_noise,
+    check_numbers,
+)
+from kfenv.scenarios.inertial.constraints import pseudo_measurements
 from kfenv.scenarios.inertial.faults import (
     OUTLIER_SHARE,
     VARIANCE_RATIO,
@@ -76,6 +83,8 @@ class InsGnss(TrackingScenario):
     bias_drift: tuple[float, float] = (2e-3, 2e-3)
     bias_time: tuple[float, float] = (1000.0, 1000.0)
     earth: bool = False
+    constraints: Sequence[str] = ()
+    constraint_noise: tuple[float, float, float] = (0.5, 0.05, 0.05)
 
     name: ClassVar[str] = "InsGnss"
     initial_deviation: ClassVar[tuple[float, ...]] = (100.0, 10.0, radians(10.0))
@@ -105,17 +114,19 @@ class InsGnss(TrackingScenario):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._settle_defaults()
-        _check_fix_noise(self.gnss_noise)
-        _check_numbers(self, "process_noise", ("m", "m/s", "deg"))
+        check_fix_noise(self.gnss_noise)
+        check_numbers(self, "process_noise", ("m", "m/s", "deg"))
         for name in ("imu_noise", "imu_bias", "imu_instability"):
-            _check_numbers(self, name, ("m/s^2", "deg/s"), zero=True)
-        _check_numbers(self, "bias_drift", ("m/s^2", "deg/s"))
-        _check_numbers(self, "bias_time", ("s", "s"))
+            check_numbers(self, name, ("m/s^2", "deg/s"), zero=True)
+        check_numbers(self, "bias_drift", ("m/s^2", "deg/s"))
+        check_numbers(self, "bias_time", ("s", "s"))
         if self.earth and not (self.biases and self.log is not None):
             raise ValueError(
                 "earth=True is for a log and a filter with biases: simulated flights are over a "
                 "flat Earth at rest."
             )
+        check_numbers(self, "constraint_noise", ("m/s", "m/s", "deg/s"))
+        check_constraints(self.constraints, self.log is not None, bool(self.biases))
         _ = self.motion  # complains
         if self.log is not None:
             self._log.starts(self.duration, "tuning")  # complains
@@ -160,8 +171,22 @@ class InsGnss(TrackingScenario):
 
     @cached_property
     def sensor(self) -> Sensor:
-        """Position, velocity and attitude; of a log no attitude."""
-        return navigation_fix(attitude=self.log is None)
+        """Position, velocity and attitude; of a log no attitude, but perhaps constraints."""
+        return with_constraints(navigation_fix(attitude=self.log is None), self._constraints)
+
+    @property
+    def _constraints(self) -> tuple[str, ...]:
+        """Those that are told, in the order of all."""
+        return tuple(name for name in CHANNELS if name in self.constraints)
+
+    @property
+    def _constraint_deviations(self) -> Array:
+        """Standard deviations (k,) of their channels, SI."""
+        across, velocity, rate = self.constraint_noise
+        deviations = dict(zip(CHANNELS, (across, velocity, radians(rate)), strict=True))
+        return np.concatenate(
+            [np.empty(0), *([deviations[n]] * len(CHANNELS[n]) for n in self._constraints)]
+        )
 
     @property
     def _log(self) -> InertialLog:
@@ -278,18 +303,20 @@ class InsGnss(TrackingScenario):
         measurement = draft.exact + missing * rng.standard_normal(missing.shape)
         measurement[~draft.available] = np.nan
         withheld = window.arrived & ~draft.available.any(axis=1)
+        of_constraints = pseudo_measurements(self._log, window.rows, self._constraints)
+        same = np.tile(self._constraint_deviations, (len(self.time), 1))
         mean, factor = self._lessons.at(start)
         unknown = np.zeros((len(self.time), len(mean) - window.truth.shape[1]))
         return Recording(
             time=self.time,
-            measurement=measurement[None],
-            noise=(window.deviation * draft.told_factor)[None],
+            measurement=np.hstack([measurement, of_constraints])[None],
+            noise=np.hstack([window.deviation * draft.told_factor, same])[None],
             mean=mean[None],
             factor=factor[None],
             motion_inputs=draft.motion_inputs[None],
             sensor_inputs=draft.sensor_inputs[None],
             truth=np.hstack([window.truth, unknown])[None],
-            true_noise=(window.deviation * draft.noise_factor)[None],
+            true_noise=np.hstack([window.deviation * draft.noise_factor, same])[None],
             scored=withheld[None] if self._log.truth is None else None,
             faults=(tuple(draft.intervals),),
         )
@@ -369,32 +396,3 @@ def _markov(rng: Generator, steps: int, dt: float) -> Array:
     drive = rng.standard_normal((steps, 6))
     drive[1:] *= sqrt(1.0 - keep * keep)
     return lfilter([1.0], [1.0, -keep], drive, axis=0)
-
-
-def _check_numbers(
-    scenario: InsGnss, name: str, units: tuple[str, ...], zero: bool = False
-) -> None:
-    """Complain if a field does not hold one positive (or zero) number per unit."""
-    given = getattr(scenario, name)
-    right = isinstance(given, Sequence) and not isinstance(given, str) and len(given) == len(units)
-    if not right or not all(is_number(v) and (v > 0.0 or (zero and v == 0.0)) for v in given):
-        bound = "numbers, zero or more" if zero else "positive numbers"
-        raise ValueError(
-            f"{name} must hold {len(units)} {bound} ({', '.join(units)}), got {given!r}."
-        )
-
-
-def _check_fix_noise(given: object) -> None:
-    """Complain unless there are three deviations, each a positive number or one for each axis."""
-    right = isinstance(given, Sequence) and not isinstance(given, str) and len(given) == 3
-    if not right or not all(_is_deviation(value) for value in given):
-        raise ValueError(
-            "gnss_noise must hold three deviations (position in m, velocity in m/s, attitude in "
-            f"deg), each a positive number or three of them, one for each axis; got {given!r}."
-        )
-
-
-def _is_deviation(value: object) -> bool:
-    """Whether it is a positive number, or three of them."""
-    axes = tuple(value) if isinstance(value, Sequence) and not isinstance(value, str) else (value,)
-    return len(axes) in (1, 3) and all(is_number(number) and number > 0.0 for number in axes)
