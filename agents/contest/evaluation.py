@@ -11,9 +11,9 @@ from typing import Any
 
 from ..contestants.learned import Learned
 from ..contestants.registry import NAMES, make_agent
+from ..executor import run_jobs
 from ..files import write_json
 from .cost import relative_cost
-from .executor import run_jobs
 from .rollout import check_scored, draw_episodes, rollout, scenario_and_options
 from .scores import Scores, read_cost, read_scores, read_values, scores_path, write_scores
 from .summary import NOMINAL, TUNED, summarise
@@ -106,6 +106,7 @@ def evaluate(
 
     Raises:
         FileExistsError: if the folder holds anything and ``resume`` is not set.
+        RuntimeError: if a worker process dies of an agent twice; the others' scores are kept.
         ValueError: if it holds another contest, or an agent is unknown.
     """
     _complain_first(contest)

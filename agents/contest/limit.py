@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..contestants.particles.bound import ParticleBound
+from ..executor import run_jobs
 from ..files import write_json, written_whole
 from .rollout import draw_episodes, rollout, scenario_and_options
 
@@ -76,12 +77,10 @@ def measure_limit(
     started(len(limit.jobs))
     for _ in range(len(limit.jobs) - len(todo)):
         advance()
-    with get_context("spawn").Pool(min(processes, max(len(todo), 1))) as pool:
-        arguments = [(limit, job) for job in todo]
-        for job, rmse, lost in pool.imap_unordered(_run, arguments):
-            with written_whole(_path(output, job)) as file:
-                np.savez(file, rmse=rmse, lost=lost)
-            advance()
+    for job, (rmse, lost) in run_jobs(partial(_run, limit), todo, processes):
+        with written_whole(_path(output, job)) as file:
+            np.savez(file, rmse=rmse, lost=lost)
+        advance()
     summary = _summary(limit, output)
     write_json(output / "limit.json", summary)
     return summary
@@ -102,16 +101,16 @@ def _path(output: Path, job: tuple[int, int]) -> Path:
     return output / "blocks" / f"repeat{job[0]}-episode{job[1]}.npz"
 
 
-def _run(arguments: tuple[Limit, tuple[int, int]]) -> tuple[tuple[int, int], Any, Any]:
+def _run(limit: Limit, job: tuple[int, int]) -> tuple[Any, Any]:
     import kfenv  # noqa: F401  (registers the environments)
 
-    limit, (repeat, begin) = arguments
+    repeat, begin = job
     place = limit.env_id, limit.env_kwargs
     end = min(begin + BLOCK, limit.episodes)
     episodes = draw_episodes(*place, "test", limit.seed, end)[begin:]
     bound = ParticleBound("particle-bound", particles=limit.particles, seed=repeat)
     scores = rollout(bound, *place, episodes)
-    return (repeat, begin), scores.rmse, scores.lost
+    return scores.rmse, scores.lost
 
 
 def _summary(limit: Limit, output: Path) -> dict[str, Any]:

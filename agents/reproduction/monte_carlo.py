@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from hashlib import sha256
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,6 +24,7 @@ from kfenv.models.model import Sensor
 from kfenv.models.namespaces import batch
 from kfenv.scenarios.recording import Recording
 
+from ..executor import run_jobs
 from ..files import written_whole
 
 Array = NDArray[np.float64]
@@ -155,7 +154,7 @@ def run_study(
     paths = {start: folder / f"{_fingerprint(study, start)}.npz" for start in starts}
     todo = [start for start in starts if not paths[start].exists()]
     advance(sum(_size(study, start) for start in starts if start not in todo))
-    for start, arrays in _filter_all(study, todo, processes):
+    for start, arrays in run_jobs(partial(_filter_chunk, study), todo, processes):
         with written_whole(paths[start]) as file:
             np.savez(file, **arrays)
         advance(_size(study, start))
@@ -192,20 +191,7 @@ def _fingerprint(study: Study, start: int) -> str:
     return f"{start:05d}-{sha256(repr(settings).encode()).hexdigest()[:12]}"
 
 
-def _filter_all(
-    study: Study, starts: Sequence[int], processes: int
-) -> Iterator[tuple[int, dict[str, NDArray]]]:
-    """Yield the arrays of each chunk as they come, from worker processes if more than one."""
-    if processes < 2 or len(starts) < 2:
-        for start in starts:
-            yield start, _filter_chunk(study, start)[1]
-        return
-    ignore = (signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's, which ends them
-    with get_context("spawn").Pool(processes, signal.signal, ignore) as pool:
-        yield from pool.imap_unordered(partial(_filter_chunk, study), starts)
-
-
-def _filter_chunk(study: Study, start: int) -> tuple[int, dict[str, NDArray]]:
+def _filter_chunk(study: Study, start: int) -> dict[str, NDArray]:
     recording = study.sample(start, CHUNK)
     arrays = {}
     for i, method in enumerate(study.methods):
@@ -213,7 +199,7 @@ def _filter_chunk(study: Study, start: int) -> tuple[int, dict[str, NDArray]]:
         with np.errstate(all="ignore"):  # a filter that has come apart overflows
             outcome = _outcome(study, recording, history)
         arrays |= {f"{i}/{name}": value for name, value in outcome._asdict().items()}
-    return start, arrays
+    return arrays
 
 
 def _outcome(study: Study, recording: Recording, history: History) -> Outcome:
