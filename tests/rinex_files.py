@@ -56,7 +56,7 @@ def instant(time, separator):
 
 
 def write_navigation(path, rinex_2):
-    """A RINEX 2 navigation file as RINEX 3, with a GLONASS and a Galileo record between."""
+    """A RINEX 2 navigation file as RINEX 3, with GLONASS records between."""
     lines = rinex_2.read_text().splitlines()
     end = next(i for i, line in enumerate(lines) if "END OF HEADER" in line)
     text = header_line("     3.04           N: GNSS NAV DATA    M: MIXED", "RINEX VERSION / TYPE")
@@ -74,6 +74,5 @@ def write_navigation(path, rinex_2):
         )
         text += first[22:] + "\n" + "".join(f" {line}\n" for line in others)
         text += f"R05 2005 04 02 00 15 00{number * 3}\n" + f"    {number * 4}\n" * 3
-    text += f"E11 2005 04 02 00 10 00{number * 3}\n" + f"    {number * 4}\n" * 7
     path.write_text(text.replace("2005  4", "2005 04"))
     return path

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from pairs import beacon, robot
 
 from kfenv.models.constant_acceleration import constant_acceleration
+from kfenv.models.markov_acceleration import markov_acceleration
 from kfenv.models.namespaces import batch, compiled, dual, scalar
 from kfenv.models.navigation_fix import navigation_fix
 from kfenv.models.radar import radar
@@ -14,6 +15,7 @@ from kfenv.models.strapdown import strapdown
 from kfenv.models.variable_turn import variable_turn
 
 MOTIONS = {"constant acceleration": constant_acceleration(2.0), "variable turn": variable_turn(2.0),
+           "markov acceleration": markov_acceleration(1.5, 10.0),
            "robot": robot(), "strapdown": strapdown((5.0, 3.0, 0.005))}  # fmt: skip
 SENSORS = {"radar": (radar(), 9), "beacon": (beacon(), 4), "fix": (navigation_fix(), 9),
            "fix without attitude": (navigation_fix(attitude=False), 9)}  # fmt: skip

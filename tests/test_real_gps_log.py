@@ -33,9 +33,10 @@ from kfenv.models.gnss.clock import with_clock
 from kfenv.models.gnss.orbits import EARTH_RATE, SPEED_OF_LIGHT, Constellation
 from kfenv.models.gnss.pseudorange import pseudoranges
 from kfenv.scenarios.gnss.ephemeris import RELATIVITY, read_navigation, satellite_states
-from kfenv.scenarios.gnss.fix import L1, fix, signals
-from kfenv.scenarios.gnss.log import MILLISECOND, PARTS, read_log
-from kfenv.scenarios.gnss.rinex import read_observations
+from kfenv.scenarios.gnss.fix import fix, signals
+from kfenv.scenarios.gnss.log import PARTS
+from kfenv.scenarios.gnss.reading import MILLISECOND, read_log
+from kfenv.scenarios.gnss.rinex import L1, read_observations
 from kfenv.scenarios.gnss.tracking import GnssTracking
 from kfenv.scenarios.recording import Recording
 
@@ -92,7 +93,18 @@ def test_without_corrections_the_orbit_is_that_of_the_almanac_model():
     """An implementation of its own: the constellation of the simulated environment."""
     v = broadcast().value
     plain = {name: np.zeros_like(value) for name, value in v.items()}
-    kept = ("root_a", "e", "i0", "omega0", "omega_dot", "omega", "m0")
+    kept = (
+        "gravity",
+        "earth_rate",
+        "toe",
+        "root_a",
+        "e",
+        "i0",
+        "omega0",
+        "omega_dot",
+        "omega",
+        "m0",
+    )
     plain |= {name: v[name] for name in kept}
     second = np.mod(broadcast().time, 604_800.0)
     same = Constellation(
@@ -302,7 +314,7 @@ def test_a_clock_set_by_whole_milliseconds_is_set_back_and_told(tmp_path):
     path = write_observations(tmp_path / "log.rnx", replace(observed(), pseudorange=jumped))
     found = read_log(path, BROADCAST)
     assert found.clock_jumps == (-2, 1) and log().clock_jumps == ()
-    assert np.abs(np.diff(found.clock, 2)).max() < 500.0
+    assert np.abs(np.diff(found.truth[found.row, 9], 2)).max() < 500.0
     # 2 ms earlier by the satellites' own motion, up to 2 m, which the orbits account for
     whole = found.recording(found.start[40:41], 600.0)
     assert np.sqrt(np.mean(run(whole)[0][0, 10:] ** 2)) < 2.0
@@ -447,11 +459,17 @@ def test_logs_that_cannot_be_used_say_why(tmp_path, change, said):
     assert said in str(caught.value) and str(path) in str(caught.value)
 
 
-def test_a_receiver_that_moves_needs_no_position_and_has_no_truth(tmp_path):
+def test_a_receiver_that_moves_needs_no_position_and_is_judged_by_withheld_fixes(tmp_path):
     path = write_observations(tmp_path / "log.rnx", observed(), position=np.zeros(3))
-    moving = read_log(path, BROADCAST, static=False)
+    moving = read_log(path, BROADCAST, moving=True)
     recording = moving.recording(moving.start[:1], 300.0)
-    assert recording.truth is None
     ours = log().recording(log().start[:1], 300.0)
+    withheld = recording.scored[0] > 0.0
+    # one epoch of six
+    np.testing.assert_array_equal(recording.time[withheld], [150.0])
+    assert np.isnan(recording.measurement[0, withheld]).all()
+    assert np.linalg.norm((recording.truth - ours.truth)[0, withheld][:, POSITION]) < 5.0
     # Delays are those at each fix rather than at the station: centimetres
-    np.testing.assert_allclose(recording.measurement, ours.measurement, atol=0.05)
+    np.testing.assert_allclose(
+        recording.measurement[0, ~withheld], ours.measurement[0, ~withheld], atol=0.05
+    )

@@ -1,5 +1,6 @@
 """RINEX 2 and 3 are read alike; what is wrong with a file is one sentence with its line."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -14,6 +15,7 @@ from rinex_files import (
 )
 
 from kfenv.scenarios.gnss.ephemeris import read_navigation
+from kfenv.scenarios.gnss.fix import signals
 from kfenv.scenarios.gnss.rinex import read_observations
 
 EPOCH = " 05  4  2  0  0  0.0000000  0  2G 3R 7"
@@ -50,7 +52,7 @@ def written(folder, text, name="log.05o"):
 @needs_rinex
 def test_the_real_file_is_read_as_it_stands():
     found = observed()
-    assert found.time.shape == (120,) and found.code == "C1" and not found.moved
+    assert found.time.shape == (120,) and found.codes == {"G": "C1"} and not found.moved
     assert found.time[0] == 1316 * 604_800 + 6 * 86_400  # GPS week 1316, Saturday
     assert tuple(found.satellite) == (1, 3, 4, 7, 8, 11, 19, 20, 23, 24, 27, 28)
     assert found.pseudorange[0, 1] == 24801780.917 and found.pseudorange[-1, -1] == 19618895.340
@@ -77,7 +79,7 @@ def test_rinex_3_says_the_same_as_rinex_2(tmp_path):
     np.testing.assert_allclose(again.time, observed().time, rtol=0.0, atol=2e-7)
     np.testing.assert_array_equal(again.pseudorange, observed().pseudorange)
     np.testing.assert_array_equal(again.satellite, observed().satellite)
-    assert again.code == "C1C"
+    assert again.codes == {"G": "C1C"}
     orbits = read_navigation(write_navigation(tmp_path / "nav.rnx", BROADCAST))
     np.testing.assert_array_equal(orbits.satellite, broadcast().satellite)
     np.testing.assert_array_equal(orbits.klobuchar, broadcast().klobuchar)
@@ -110,6 +112,75 @@ def test_zero_and_blank_mean_missing(tmp_path):
     assert np.isnan(found.pseudorange).all() and np.isfinite(found.doppler).all()
 
 
+COMMENT = header_line("caf\u00e9 \u2026 \u00c5", "COMMENT")
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
+@pytest.mark.parametrize("last", ["", "\x1a", "\x1a\r\n\x1a"])
+def test_lines_end_as_they_like_and_comments_hold_any_letters(tmp_path, end, encoding, last):
+    """Byte 0x85, an ellipsis in cp1252 and part of letters in UTF-8, ends no line."""
+    event = "                            4  1\n" + COMMENT
+    text = GOOD.replace(HEADER[81:], COMMENT + HEADER[81:]) + event
+    text += GOOD[len(HEADER) :].replace("0  0.0000000  0  2", "0 30.0000000  0  2")
+    path = tmp_path / "log.05o"
+    path.write_bytes((text.replace("\n", end) + last).encode(encoding))
+    found = read_observations(path)
+    np.testing.assert_array_equal(found.pseudorange, [[24801780.917]] * 2)
+
+
+def test_rinex_3_epochs_may_lack_their_first_blank(tmp_path):
+    text = header_line("     3.02           OBSERVATION DATA    G", "RINEX VERSION / TYPE")
+    text += header_line("G    1 C1C", "SYS / # / OBS TYPES") + header_line("", "END OF HEADER")
+    text += ">2005 04 02 00 00  0.0000000  0  1\nG03  24801780.917\n"
+    text += "> 2005 04 02 00 00 30.0000000  0  1\nG03  24801780.917\n"
+    found = read_observations(written(tmp_path, text))
+    np.testing.assert_array_equal(np.diff(found.time), [30.0])
+
+
+def test_each_system_has_columns_of_its_own(tmp_path):
+    text = header_line("     3.04           OBSERVATION DATA    M", "RINEX VERSION / TYPE")
+    for row in ("G    3 C1C D1C S1C", "E    2 S1X C1X", "C    2 C2I D2I", "R    1 C1C"):
+        text += header_line(row, "SYS / # / OBS TYPES")
+    text += header_line("", "END OF HEADER") + "> 2020 10 30 00 00  0.0000000  0  4\n"
+    text += f"G03{20e6:14.3f}  {-5.0:14.3f}  {45.0:14.3f}\n" + f"R05{19e6:14.3f}\n"
+    text += f"E11{40.0:14.3f}  {24e6:14.3f}\n" + f"C21{23e6:14.3f}  {7.0:14.3f}\n"
+    found = read_observations(written(tmp_path, text))
+    assert found.names.tolist() == ["G03", "E11", "C21"]
+    assert found.codes == {"G": "C1C", "E": "C1X", "C": "C2I"}
+    np.testing.assert_array_equal(found.pseudorange, [[20e6, 24e6, 23e6]])
+    np.testing.assert_array_equal(found.doppler, [[-5.0, np.nan, 7.0]])
+    np.testing.assert_array_equal(found.strength, [[45.0, 40.0, np.nan]])
+    assert found.frequency[2] == 1561.098e6 and found.frequency[1] == found.frequency[0]
+
+
+@needs_rinex
+def test_a_navigation_file_of_part_of_the_log_says_so():
+    some = broadcast().satellite < 12
+    few = replace(
+        broadcast(), satellite=broadcast().satellite[some], time=broadcast().time[some],
+        clock_time=broadcast().clock_time[some],
+        value={name: column[some] for name, column in broadcast().value.items()},
+    )  # fmt: skip
+    share = 100.0 * np.mean(
+        few.choose(observed().satellite, observed().time[:, None] + 0.0 * observed().satellite)[
+            np.isfinite(observed().pseudorange)
+        ]
+        < 0
+    )
+    with pytest.warns(UserWarning, match=rf"ephemerides from .* to .*: {share:.0f} % of them have"):
+        signals(observed(), few)
+    late = replace(observed(), time=observed().time + 30 * 86_400.0)
+    with pytest.raises(ValueError, match=r"from 2005-05-02 00:00 to 2005-05-02 .*do not belong"):
+        signals(late, broadcast())
+
+
+@needs_rinex
+def test_the_whole_days_file_says_nothing(recwarn):
+    signals(observed(), broadcast())
+    assert not recwarn
+
+
 def test_a_start_of_motion_is_told(tmp_path):
     event = "                            2  0\n"
     later = GOOD[len(HEADER) :].replace("0  0.0000000  0  2", "0 30.0000000  0  2")
@@ -130,7 +201,7 @@ def test_the_antenna_stands_above_its_marker(tmp_path):
     [
         (("OBSERVATION DATA ", "NAVIGATION DATA  "), "line 1: an observation file (type 'O')"),
         (("     2.11", "     4.00"), "line 1: RINEX version 4.00 is not read"),
-        (("M (MIXED)", "R (GLONA)"), "line 1: only GPS is read"),
+        (("M (MIXED)", "R (GLONA)"), "line 1: only GPS, alone or mixed with others, is read"),
         (("RINEX VERSION / TYPE", "CRINEX VERS   / TYPE"), "decompress it with crx2rnx"),
         (("RINEX VERSION / TYPE", "SOMETHING"), "line 1: a RINEX file begins with"),
         (("# / TYPES OF OBSERV", "COMMENT"), "no line '# / TYPES OF OBSERV'"),
@@ -190,7 +261,7 @@ def test_no_file_and_no_text_file(tmp_path):
     [
         (("N: GPS NAV DATA", "G: GLO NAV DATA"), "line 1: a navigation file (type 'N')"),
         (("    1.1180D-08", "    1.1x80D-08"), "line 8: ION ALPHA should be a number"),
-        (("5.153636478420D+03", "5.153636478420D+02"), "this ephemeris is no GPS orbit"),
+        (("5.153636478420D+03", "5.153636478420D+02"), "this ephemeris is no satellite's orbit"),
         (("-5.218750000000D+01", "-5.21875000x000D+01"), "line 14: crs should be a number"),
         (("-5.218750000000D+01", "                NaN"), "line 14: crs should be a number"),
         (("-5.218750000000D+01", "-5.21875000000D+999"), "line 14: crs should be a number"),

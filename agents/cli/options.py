@@ -28,8 +28,10 @@ Rinex = Annotated[
     tuple[Path, Path] | None,
     typer.Option(
         metavar="OBS NAV",
-        help="A real GPS log of a receiver that stood still: RINEX 2 or 3 observation and "
-        "navigation file. It is cut into windows: the first 30 % of its time for training and "
+        help="A real GNSS log: RINEX 2 or 3 observation and navigation file. Of a receiver that "
+        "moved: --option moving=true, or with its truth "
+        '--option \'rinex=["OBS","NAV","TRUTH"]\'. '
+        "It is cut into windows: the first 30 % of its time for training and "
         "tuning, 20 % for validation, the last half for the test, without overlap.",
     ),
 ]

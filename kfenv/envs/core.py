@@ -73,8 +73,7 @@ class Core:
         self._scored = np.zeros(batch, np.int64)
         self.lost = np.zeros(batch, bool)
         self.status = np.zeros(batch, np.int64)
-        self.error = np.full(batch, np.nan)
-        self.nees = np.full(batch, np.nan)
+        self.error, self.nees = np.full((2, batch), np.nan)
         self.total_squared_error, self.total_nees, self.total_scored = np.zeros((3, batch))
         self._to_score, self._cost = np.zeros((2, batch))
         self._statistics = np.zeros((batch, len(sensor.groups), statistics.COLUMNS))
@@ -111,30 +110,25 @@ class Core:
             array[chosen] = 1.0 if given is None else given  # only `scored` may be left out
         if self.options.reward == rewards.IMPROVEMENT and self.has_truth:
             self._nominal_error[chosen] = self._errors_of_nominal(recording)
-        self.index[chosen] = 0
-        self._scored[chosen] = 0
-        self.lost[chosen] = False
-        self.status[chosen] = 0
+        for begins_at_zero in (
+            self.index, self._scored, self.lost, self.status, self._statistics, self._since,
+            self._action, self.total_squared_error, self.total_nees, self.total_scored, self._cost,
+        ):  # fmt: skip
+            begins_at_zero[chosen] = 0
+        self.error[chosen] = self.nees[chosen] = np.nan
         self._prediction.mean[chosen] = recording.mean
         self._prediction.root[chosen] = recording.factor
         self._prediction.noise[chosen] = 0.0
         self._update.mean[chosen] = recording.mean
         self._update.factor[chosen] = recording.factor
         self._update.nis[chosen] = np.nan
-        self._statistics[chosen] = 0.0
         self._statistics[chosen, :, : len(statistics.WINDOWS)] = 1.0
-        self._since[chosen] = 0.0
         if self._channels is not None:
             self._channels.restart(chosen)
         if self._memory is not None:
             self._memory.restart(chosen, recording.mean)
-        self._action[chosen] = 0.0
         self.factors[chosen] = 1.0
-        self.total_squared_error[chosen] = 0.0
-        self.total_nees[chosen] = 0.0
-        self.total_scored[chosen] = 0.0
         self._to_score[chosen] = np.maximum(recording.scored_instants, 1.0)
-        self._cost[chosen] = 0.0
         mask = np.zeros(self.batch, bool)
         mask[chosen] = True
         self._score(mask)
@@ -280,6 +274,10 @@ class Core:
             )  # fmt: skip
             unknown = active & (self._gather("scored") == 0.0)
             self.error[unknown] = self.nees[unknown] = np.nan
+        statistics.note_runaways(
+            self._statistics, self._update.factor, self._position, self.scenario.lost_distance,
+            active, self.error,
+        )  # fmt: skip
         failed = active & (self.status != 0)
         if failed.any():
             self.error[failed] = self.scenario.lost_distance

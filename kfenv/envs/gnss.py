@@ -90,18 +90,28 @@ class GnssTrackingEnv(TrackingEnv):
     - ``longest_gap``: between two of its reports that an episode may bridge, s (default
       {scenario.longest_gap:g}; in cruise reports may lie a minute apart).
     - ``rinex``: paths of a RINEX 2 or 3 observation file and its navigation file, in place of
-      all that is simulated: GPS on L1 of a receiver that stood still at the position in the
-      header, which is the truth. Pseudoranges are cleared of satellite clocks, group delay,
-      relativity, troposphere and Klobuchar's ionosphere; rates are the Doppler's, where
-      there is any. The told noise is the error budget, with half of the ionosphere's delay
-      added. Filter steps are at most 1 s long, from epoch to epoch; the motion model is
-      constant acceleration, since a receiver at rest has no turn rate, and is not told that
-      the receiver rests: to tune for one that moves, expose the noise knobs alone. Episodes
-      are windows of ``duration`` ({module.LOG_DURATION:g} by default) from the first 30 % of the
-      log's time; ``kfenv evaluate --rinex`` tests on windows of its last half, ``kfenv train``
-      validates between the two. Each window starts with the least-squares fix of its first
-      epoch, whose measurement is then spent. ``rate`` is the log's, and only ``duration`` goes
-      with it.
+      all that is simulated: GPS on L1, and where the files have them Galileo on E1, BeiDou on
+      B1I and QZSS. Pseudoranges are cleared of satellite clocks, group delay, relativity,
+      troposphere, Klobuchar's ionosphere and the biases between the systems (one number each,
+      estimated on the log); rates are the Doppler's, where there is any. The told noise is the
+      error budget, with half of the ionosphere's delay added; where the file tells C/N0, noise of
+      code and Doppler goes by it, as measured on the log's first 30 %. Filter steps are at most
+      1 s long, from epoch to epoch. A receiver that stood still has the header's position as
+      its truth; the motion model is constant acceleration, since it has no turn rate, and is not
+      told that the receiver rests: to tune for one that moves, expose the noise knobs alone. Of
+      one that moved the third path is the truth: a CSV file with lat, lon (degrees), height (m)
+      and t (GPS seconds since 1980, of the week, or since the log began) or week and seconds, or
+      RTKLIB's .pos. Episodes are windows of ``duration`` ({module.LOG_DURATION:g} by default)
+      from the first 30 % of the log's time; ``kfenv evaluate --rinex`` tests on windows of its
+      last half, ``kfenv train`` validates between the two. Each window starts with the
+      least-squares fix of its first epoch, whose measurement is then spent. ``rate`` is the log's,
+      and of the other arguments only ``duration`` and the next two go with it.
+    - ``moving``: True for the log, or ``recording``, of a vehicle. Without a truth the filter
+      misses the last of every six stretches of 10 s (of a sixth of a shorter window, or of an
+      epoch where those are rarer), and
+      its error is counted there, against the fixes; these jitter by metres themselves.
+    - ``manoeuvre``: of a vehicle, deviation (m/s^2) and time constant (s) of its acceleration, a
+      first-order Markov process (default {scenario.manoeuvre}).
     {options}
 
     A ``recording`` has the channels and inputs of

@@ -20,6 +20,7 @@ COMMON = 3  # time since the last arrival, position and velocity deviation
 # Columns of the statistics of a group: a mean square per window, lag product, last value
 LAG, LAST, COLUMNS = len(WINDOWS), len(WINDOWS) + 1, len(WINDOWS) + 2
 BOUND = 10.0  # of every feature
+RUNAWAY, RUNAWAY_WINDOW = 100.0, 1  # RMS of whitened innovations, and over which window
 
 
 def feature_names(groups: Sequence[str]) -> tuple[str, ...]:
@@ -97,6 +98,22 @@ def _product(one, other):
     for k in range(one.shape[0]):
         total += one[k] * other[k]
     return total
+
+
+@njit(cache=True, error_model="numpy")
+def note_runaways(statistics, factor, position, lost_distance, active, error):
+    """Put the error just above the loss distance where it is unknown and all speaks for a loss.
+
+    That is: innovations a hundred times what the filter expects, in the mean square over some
+    ten measurements, or a position that the filter itself takes for lost.
+    """
+    for b in range(error.shape[0]):
+        if active[b] and isnan(error[b]):
+            away = _deviation(factor[b], position) > lost_distance
+            for g in range(statistics.shape[1]):
+                away = away or statistics[b, g, RUNAWAY_WINDOW] > RUNAWAY**2
+            if away:
+                error[b] = lost_distance * (1.0 + 1e-9)
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,7 +1,10 @@
-"""GPS broadcast ephemerides: RINEX 2 and 3 navigation files, and orbits and clocks from them.
+"""Broadcast ephemerides: RINEX 2 and 3 navigation files, and orbits and clocks from them.
 
 The orbit is that of IS-GPS-200, table 20-IV: Kepler's with secular and harmonic
 corrections, in ECEF at the instant asked for. The clock is that of section 20.3.3.3.3.
+QZSS, Galileo (OS-SIS-ICD 5.1.1) and BeiDou's higher and inclined orbits (BDS-SIS-ICD B1I
+5.2.4) have the same with their own constants and group delays; BeiDou's geostationary
+satellites, whose orbit is told in another frame, are passed over.
 """
 
 from __future__ import annotations
@@ -13,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kfenv.models.gnss.orbits import EARTH_RATE, GRAVITY, WEEK, eccentric_anomaly
-from kfenv.scenarios.gnss.rinex import Header, Lines, read_header
+from kfenv.scenarios.gnss.rinex import PER_SYSTEM, SYSTEMS, number_of
+from kfenv.scenarios.gnss.rinex_lines import Header, Lines, read_header
 
 Array = NDArray[np.float64]
 
@@ -31,19 +35,32 @@ RECORD = (
     None, "health", "tgd", None,
     None, "fit_interval",
 )  # fmt: skip
+FIT_SYSTEMS = "GJ"  # whose records tell the fit interval
+SOURCE, OTHER_DELAY = 20, 26  # in Galileo's: where a record comes from, and the delay of I/NAV
+F_NAV = 0b10  # the bit of the source that belongs to the first delay
+BEIDOU_GRAVITY, BEIDOU_RATE = 3.986004418e14, 7.2921150e-5
+CONSTANTS = {
+    "G": (GRAVITY, EARTH_RATE),
+    "J": (GRAVITY, EARTH_RATE),
+    "E": (BEIDOU_GRAVITY, EARTH_RATE),
+    "C": (BEIDOU_GRAVITY, BEIDOU_RATE),
+}
+BEIDOU_BEHIND = 14.0  # s behind GPS time
+GEOSTATIONARY = (*range(1, 6), *range(59, 64))  # of BeiDou
 FIRST_LINE, OTHER_LINES, WIDTH = 3, 4, 19  # numbers in a line, and a number's columns
 
 
 @dataclass(frozen=True, eq=False)
 class Ephemerides:
-    """The GPS part of a navigation file, unhealthy satellites left out.
+    """What a navigation file holds, unhealthy satellites left out.
 
     Attributes:
         path: of the file.
-        satellite: (N,) PRN numbers.
+        satellite: (N,) numbers as `kfenv.scenarios.gnss.rinex.Observations` has them.
         time: (N,) of ephemeris, seconds since the GPS epoch.
         clock_time: (N,) of clock, seconds since the GPS epoch.
-        value: for each quantity of IS-GPS-200 its (N,) values in SI units and radians.
+        value: for each quantity of IS-GPS-200 its (N,) values in SI units and radians; toe
+            is the second of its own system's week, gravity and earth_rate are its constants.
         klobuchar: (8,) alpha0 to alpha3 and beta0 to beta3 of the ionosphere, in s and
             powers of semicircles; None where the header has none.
     """
@@ -59,7 +76,7 @@ class Ephemerides:
         """Return which ephemeris is nearest in time, -1 where none is valid then.
 
         Args:
-            satellite, time: PRN numbers and seconds since the GPS epoch, of any one shape.
+            satellite, time: numbers and seconds since the GPS epoch, of any one shape.
         """
         satellite, time = np.broadcast_arrays(satellite, time)
         chosen = np.full(satellite.shape, -1)
@@ -106,7 +123,7 @@ def satellite_states(
     v = {name: value[row] for name, value in ephemerides.value.items()}
     dt = time - ephemerides.time[row]
     a = v["root_a"] ** 2
-    motion = np.sqrt(GRAVITY / a**3) + v["delta_n"]
+    motion = np.sqrt(v["gravity"] / a**3) + v["delta_n"]
     anomaly = eccentric_anomaly(v["m0"] + motion * dt, v["e"])
     sine, cosine = np.sin(anomaly), np.cos(anomaly)
     rate = motion / (1.0 - v["e"] * cosine)  # of the eccentric anomaly
@@ -124,8 +141,8 @@ def satellite_states(
     u, u_rate = corrected(latitude, latitude_rate, "cus", "cuc")
     r, r_rate = corrected(a * (1.0 - v["e"] * cosine), a * v["e"] * sine * rate, "crs", "crc")
     i, i_rate = corrected(v["i0"] + v["i_dot"] * dt, v["i_dot"], "cis", "cic")
-    node_rate = v["omega_dot"] - EARTH_RATE
-    node = v["omega0"] + node_rate * dt - EARTH_RATE * np.mod(ephemerides.time[row], WEEK)
+    node_rate = v["omega_dot"] - v["earth_rate"]
+    node = v["omega0"] + node_rate * dt - v["earth_rate"] * v["toe"]
 
     in_plane = (r * np.cos(u), r * np.sin(u))
     in_plane_rate = (
@@ -157,7 +174,7 @@ def _from_plane(plane, plane_rate, i, i_rate, node, node_rate) -> tuple[Array, A
 def _clock(ephemerides, row, time, v, sine, cosine, rate) -> tuple[Array, Array]:
     """The polynomial, the relativistic effect of the eccentric orbit, and the group delay."""
     since = time - ephemerides.clock_time[row]
-    eccentric = RELATIVITY * v["e"] * v["root_a"]
+    eccentric = RELATIVITY * np.sqrt(v["gravity"] / GRAVITY) * v["e"] * v["root_a"]
     clock = v["af0"] + since * (v["af1"] + since * v["af2"]) + eccentric * sine - v["tgd"]
     return clock, v["af1"] + 2.0 * since * v["af2"] + eccentric * cosine * rate
 
@@ -166,7 +183,7 @@ def _clock(ephemerides, row, time, v, sine, cosine, rate) -> tuple[Array, Array]
 
 
 def read_navigation(path: str | Path) -> Ephemerides:
-    """Read the GPS part of a RINEX 2 or 3 navigation file.
+    """Read a RINEX 2 or 3 navigation file.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -181,23 +198,25 @@ def read_navigation(path: str | Path) -> Ephemerides:
         line = lines.next("")
         if not line.strip():
             continue
-        if version == 3 and line[:1] != "G":
+        system = line[:1] if version == 3 else "G"
+        if system not in SYSTEMS:
             _skip_record(lines)
             continue
         prn, clock_time = _record_time(lines, line, version)
-        record = _record(lines, line, version)
-        if record["health"] == 0.0:
-            satellites.append(prn)
+        record = _record(lines, line, version, system)
+        if record["health"] == 0.0 and not (system == "C" and prn in GEOSTATIONARY):
+            satellites.append(number_of(system, prn))
             clock_times.append(clock_time)
             records.append(record)
-    if not records:
+    if not any(number < PER_SYSTEM for number in satellites):
         raise ValueError(f"{path} holds no ephemeris of a healthy GPS satellite.")
     value = {name: np.array([record[name] for record in records]) for name in records[0]}
-    clock_time = np.array(clock_times)
+    satellite, clock_time = np.array(satellites), np.array(clock_times)
+    behind = np.where(satellite // PER_SYSTEM == SYSTEMS.index("C"), BEIDOU_BEHIND, 0.0)
     # The time of ephemeris is a second of the week: of that which puts it nearest to the clock's
-    second = value.pop("toe") - np.mod(clock_time, WEEK)
+    second = value["toe"] - np.mod(clock_time, WEEK)
     time = clock_time + second - WEEK * np.round(second / WEEK)
-    return Ephemerides(str(path), np.array(satellites), time, clock_time, value, klobuchar)
+    return Ephemerides(str(path), satellite, time + behind, clock_time + behind, value, klobuchar)
 
 
 def _klobuchar(lines: Lines, header: Header) -> Array | None:
@@ -232,7 +251,7 @@ def _record_time(lines: Lines, line: str, version: int) -> tuple[int, float]:
     return lines.whole(prn, "a satellite's number"), lines.instant(fields, "the clock")
 
 
-def _record(lines: Lines, line: str, version: int) -> dict[str, float]:
+def _record(lines: Lines, line: str, version: int, system: str) -> dict[str, float]:
     """Read the numbers of one ephemeris; its first line has been taken."""
     indent = 3 if version == 2 else 4
     fields = [line[indent + WIDTH * column :][:WIDTH] for column in range(1, FIRST_LINE + 1)]
@@ -242,13 +261,17 @@ def _record(lines: Lines, line: str, version: int) -> dict[str, float]:
         if place >= FIRST_LINE and column == 0:
             line = lines.next("the end of an ephemeris")
             fields += [line[indent + WIDTH * column :][:WIDTH] for column in range(OTHER_LINES)]
-        if name is not None and not (name == "fit_interval" and not fields[place].strip()):
+        told = name != "fit_interval" or (system in FIT_SYSTEMS and fields[place].strip())
+        if name is not None and told:
             record[name] = _number(lines, fields[place], name)
+    if system == "E" and not int(_number(lines, fields[SOURCE], "the source")) & F_NAV:
+        record["tgd"] = _number(lines, fields[OTHER_DELAY], "tgd")
+    record["gravity"], record["earth_rate"] = CONSTANTS[system]
     if record.setdefault("fit_interval", FIT_INTERVAL) < FIT_INTERVAL:
         record["fit_interval"] = FIT_INTERVAL  # 0 in older files is a flag: "four hours"
     if not (record["root_a"] > 2500.0 and 0.0 <= record["e"] < 0.1):
         raise lines.wrong(
-            f"this ephemeris is no GPS orbit: sqrt(a) = {record['root_a']:g} m^0.5, "
+            f"this ephemeris is no satellite's orbit: sqrt(a) = {record['root_a']:g} m^0.5, "
             f"e = {record['e']:g}"
         )
     if not 0.0 <= record["toe"] <= WEEK:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import timedelta
+from warnings import warn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +17,15 @@ from kfenv.models.gnss.orbits import (
     look_angles,
     turned_with_earth,
 )
-from kfenv.models.gnss.receiver import RATE_NOISE, range_deviation
+from kfenv.models.gnss.receiver import CODE_NOISE, RATE_NOISE, range_deviation
 from kfenv.scenarios.gnss.ephemeris import Ephemerides, satellite_states
-from kfenv.scenarios.gnss.rinex import Observations
+from kfenv.scenarios.gnss.rinex import L1, PER_SYSTEM, Observations
 
 Array = NDArray[np.float64]
 
-L1 = 1575.42e6  # Hz
 MASK = np.radians(10.0)  # elevation below which a satellite is not used
 UNMODELLED = 0.5  # share of the ionosphere's delay that the broadcast model leaves, 1 sigma
+FEW_WITHOUT = 0.05  # share of the observations that may lack an ephemeris untold
 STEPS, ROUGH_STEPS = 8, 4  # of Gauss and Newton; the first ones do without delays and weights
 FARTHEST, SETTLED = 1e8, 1.0  # m: places and last steps beyond are no solutions
 SINGULAR = 1e-4  # least entry on the diagonal of a geometry's factor, per weight
@@ -41,6 +42,10 @@ class Signals:
         position, velocity: (T, S, 3) of the satellite at transmission, in the ECEF frame
             of that instant, m and m/s; NaN where there is no pseudorange.
         alpha, beta: (4,) each, the ionosphere's broadcast coefficients.
+        system: (S,) number of each satellite's system, 0 of GPS.
+        frequency: (S,) Hz.
+        strength: (T, S) C/N0, dB-Hz, NaN where it is not told.
+        code_noise, rate_noise: (T, S) the receiver's, m and m/s, 1 sigma.
     """
 
     time: Array
@@ -50,6 +55,11 @@ class Signals:
     velocity: Array
     alpha: Array
     beta: Array
+    system: NDArray[np.int64]
+    frequency: Array
+    strength: Array
+    code_noise: Array
+    rate_noise: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +104,9 @@ class Fixes:
 def signals(observations: Observations, ephemerides: Ephemerides) -> Signals:
     """Join observations with the orbits and clocks of their satellites.
 
+    A system of which the navigation file has nothing is passed over. Noise is what the error
+    budget has, whatever the C/N0 (see `kfenv.scenarios.gnss.calibration`).
+
     Raises:
         ValueError: if no observation has an ephemeris, or the ionosphere's coefficients
             are missing.
@@ -104,19 +117,17 @@ def signals(observations: Observations, ephemerides: Ephemerides) -> Signals:
             "ION BETA, or GPSA and GPSB under IONOSPHERIC CORR); take another navigation file of "
             "that day."
         )
+    system = observations.satellite // PER_SYSTEM
+    known = np.isin(system, ephemerides.satellite // PER_SYSTEM)
+    observations = observations.of(known)
     received = np.broadcast_to(observations.time[:, None], observations.pseudorange.shape)
     row = ephemerides.choose(observations.satellite, received)
     row = np.where(np.isnan(observations.pseudorange), -1, row)
-    if (row < 0).all():
-        day = (GPS_EPOCH + timedelta(seconds=observations.time[0])).date()
-        raise ValueError(
-            f"{ephemerides.path} has no ephemeris that is valid when {observations.path} was "
-            f"recorded, from {day}: the two files do not belong together."
-        )
+    _check_coverage(observations, ephemerides, row)
     by_satellite = received - observations.pseudorange / SPEED_OF_LIGHT  # by its own clock
     clock = satellite_states(ephemerides, row, by_satellite).clock
     states = satellite_states(ephemerides, row, by_satellite - clock)
-    rate = -observations.doppler * SPEED_OF_LIGHT / L1
+    rate = -observations.doppler * SPEED_OF_LIGHT / observations.frequency
     return Signals(
         time=observations.time,
         pseudorange=observations.pseudorange + SPEED_OF_LIGHT * states.clock,
@@ -125,7 +136,38 @@ def signals(observations: Observations, ephemerides: Ephemerides) -> Signals:
         velocity=states.velocity,
         alpha=ephemerides.klobuchar[:4],
         beta=ephemerides.klobuchar[4:],
+        system=system[known],
+        frequency=observations.frequency,
+        strength=observations.strength,
+        code_noise=np.full(rate.shape, CODE_NOISE),
+        rate_noise=np.full(rate.shape, RATE_NOISE),
     )
+
+
+def _check_coverage(observations: Observations, ephemerides: Ephemerides, row: Array) -> None:
+    """Complain, or warn, of observations without an ephemeris (rows -1)."""
+    observed = np.isfinite(observations.pseudorange)
+    share = float((row < 0)[observed].mean()) if observed.any() else 1.0
+    if share <= FEW_WITHOUT:
+        return
+    told = (
+        f"{ephemerides.path} has ephemerides from {_minute(ephemerides.time.min())} to "
+        f"{_minute(ephemerides.time.max())}, {observations.path} observations from "
+        f"{_minute(observations.time[0])} to {_minute(observations.time[-1])}"
+    )
+    if share == 1.0:
+        raise ValueError(
+            f"{told}: none has a valid ephemeris, the two files do not belong together."
+        )
+    lacking = ", ".join(observations.names[((row < 0) & observed).any(axis=0)])
+    warn(
+        f"{told}: {100.0 * share:.0f} % of them have none and are not used (of {lacking}).",
+        stacklevel=2,
+    )
+
+
+def _minute(time: float) -> str:
+    return f"{GPS_EPOCH + timedelta(seconds=round(time / 60.0) * 60):%Y-%m-%d %H:%M}"
 
 
 def view(signals: Signals, receiver: Array) -> View:
@@ -134,15 +176,15 @@ def view(signals: Signals, receiver: Array) -> View:
     position = turned_with_earth(signals.position, flight)
     velocity = turned_with_earth(signals.velocity, flight)
     elevation, azimuth = look_angles(receiver, position)
-    low = ~(elevation >= MASK)  # NaN is low
+    low = ~(elevation >= MASK) | np.isnan(signals.pseudorange)  # NaN is low
     latitude, longitude, height = (value[:, None] for value in geodetic(receiver))
     shown = np.where(low, np.pi / 2.0, elevation)
     time = signals.time[:, None]
     ionosphere = klobuchar(
         signals.alpha, signals.beta, latitude, longitude, shown, azimuth, time
-    )  # fmt: skip
+    ) * (L1 / signals.frequency) ** 2  # fmt: skip
     delay = ionosphere + troposphere(shown, latitude, height, _day_of_year(time))
-    deviation = np.hypot(range_deviation(shown), UNMODELLED * ionosphere)
+    deviation = np.hypot(range_deviation(shown, signals.code_noise), UNMODELLED * ionosphere)
     pseudorange = signals.pseudorange - delay
     for array in (position, velocity, pseudorange, deviation, elevation):
         array[low] = np.nan
@@ -193,7 +235,7 @@ def _rates(signals: Signals, receiver: Array) -> tuple[Array, Array]:
     directions = range_slopes(seen.position, receiver)
     along = -np.sum(directions[..., :3] * seen.velocity, axis=-1)
     weight = np.isfinite(along) & np.isfinite(signals.rate)
-    return least_squares(directions, signals.rate - along, weight / RATE_NOISE)
+    return least_squares(directions, signals.rate - along, weight / signals.rate_noise)
 
 
 def _flight(signals: Signals, receiver: Array) -> tuple[Array, Array]:

@@ -23,6 +23,7 @@ from kfenv.models.gnss.clock import with_clock
 from kfenv.models.gnss.orbits import GPS_EPOCH, Constellation, geodetic, gps_seconds, look_angles
 from kfenv.models.gnss.pseudorange import CHANNELS, pseudoranges
 from kfenv.models.gnss.receiver import CLOCK_OFFSET, RATE_NOISE, range_deviation
+from kfenv.models.markov_acceleration import markov_acceleration
 from kfenv.models.model import Motion, Sensor
 from kfenv.models.variable_turn import variable_turn
 from kfenv.scenarios import tracks
@@ -37,7 +38,8 @@ from kfenv.scenarios.gnss.faults import (
     RangeStep,
     ReceiverMisreport,
 )
-from kfenv.scenarios.gnss.log import GnssLog, log_of
+from kfenv.scenarios.gnss.log import GnssLog
+from kfenv.scenarios.gnss.reading import log_of
 from kfenv.scenarios.gnss.satellite_channels import assign_channels, by_channel
 from kfenv.scenarios.recording import Recording
 from kfenv.scenarios.scenario import TrackingScenario
@@ -76,8 +78,10 @@ class GnssTracking(TrackingScenario):
         troposphere: share of the standard tropospheric delay that they leave.
         track: path of a real flight's CSV file, flown at its own place.
         cutoff, longest_gap: how it is smoothed, see `kfenv.scenarios.tracks.smooth_track`.
-        rinex: paths of a real log's observation and navigation file, in place of all that
-            is simulated; the receiver stood still. The log sets `rate`.
+        rinex: paths of a real log's observation and navigation file, and of its truth if the
+            receiver moved, in place of all that is simulated. The log sets `rate`.
+        moving: whether the receiver of a real log, or of a recording, is a vehicle's.
+        manoeuvre: its acceleration's deviation, m/s^2, and time constant, s.
     """
 
     duration: float | None = None
@@ -94,6 +98,8 @@ class GnssTracking(TrackingScenario):
     cutoff: float = CUTOFF
     longest_gap: float = LONGEST_GAP
     rinex: Sequence[str] | None = None
+    moving: bool = False
+    manoeuvre: tuple[float, float] = (1.5, 10.0)
 
     name: ClassVar[str] = "GnssTracking"
     known_faults: ClassVar[Mapping[str, type]] = GNSS_FAULTS
@@ -112,6 +118,8 @@ class GnssTracking(TrackingScenario):
     error_scale: ClassVar[float] = 10.0
 
     def __post_init__(self) -> None:
+        if not isinstance(self.moving, bool):
+            raise ValueError(f"moving must be True or False, got {self.moving!r}.")
         if self.duration is None:
             duration = PAPER_DURATION if self.faults == "paper" else DURATION
             duration = duration if self.rinex is None else LOG_DURATION
@@ -174,10 +182,11 @@ class GnssTracking(TrackingScenario):
 
     def _check_log(self) -> None:
         for item in fields(self):
-            simulated = item.name not in ("duration", "rate", "rinex")
+            simulated = item.name not in ("duration", "rate", "rinex", "moving", "manoeuvre")
             if simulated and getattr(self, item.name) != item.default:
                 raise ValueError(f"{item.name} is for simulated episodes: leave it out with rinex.")
         self.log.random_starts([], self.duration, "tuning")  # complains
+        _ = self.motion  # complains
 
     def _check_flight(self) -> None:
         check_track(self, ("cutoff", "longest_gap"))
@@ -193,10 +202,23 @@ class GnssTracking(TrackingScenario):
     def motion(self) -> Motion:
         """Variable turn, white jerk of 1 m^2/s^5, and a clock of 0.1 (m/s)^2/s.
 
-        Constant acceleration for a real log: a receiver at rest has no turn rate.
+        Of a real log constant acceleration for a receiver at rest, which has no turn rate, and
+        for one that moves an acceleration that comes and goes.
         """
-        moves = variable_turn(1.0) if self.rinex is None else constant_acceleration(1.0)
+        if self.moving or (self.log is not None and self.log.moving):
+            moves = markov_acceleration(*self._manoeuvre())
+        else:
+            moves = variable_turn(1.0) if self.rinex is None else constant_acceleration(1.0)
         return with_clock(moves, CLOCK_DENSITY)
+
+    def _manoeuvre(self) -> Sequence[float]:
+        pair = self.manoeuvre
+        if not isinstance(pair, Sequence) or isinstance(pair, str) or len(pair) != 2:
+            raise ValueError(
+                "manoeuvre must be an acceleration's deviation (m/s^2) and time constant (s), got "
+                f"{pair!r}."
+            )
+        return pair
 
     @cached_property
     def sensor(self) -> Sensor:
@@ -218,7 +240,7 @@ class GnssTracking(TrackingScenario):
     @cached_property
     def log(self) -> GnssLog | None:
         """The real log, if there is one."""
-        return None if self.rinex is None else log_of(self.rinex)
+        return None if self.rinex is None else log_of(self.rinex, self.moving)
 
     def sample(self, rngs: Sequence[Generator]) -> Recording:
         """Draw one episode from each generator: of a log, a window of its first part."""
