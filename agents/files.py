@@ -1,13 +1,23 @@
-"""Result files appear whole or not at all."""
+"""Result files appear whole or not at all, and one that is damaged is named with the remedy."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+import platform
+import re
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TextIO, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Content = TypeVar("Content", dict, list)
+
+PARTIAL = "partial"
+LOCK = ".lock"  # names the process that has a folder to itself
 
 
 @contextmanager
@@ -16,7 +26,7 @@ def written_whole(path: Path) -> Iterator[BinaryIO]:
 
     A reader never meets half a file, and an interruption leaves the former one untouched.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    temporary = path.with_name(f".{path.name}.{platform.node()}.{os.getpid()}.{PARTIAL}")
     try:
         with temporary.open("wb") as file:
             yield file
@@ -29,3 +39,101 @@ def write_json(path: Path, content: Any) -> None:
     """Write `content` as readable JSON, whole or not at all."""
     with written_whole(path) as file:
         file.write((json.dumps(content, indent=2) + "\n").encode())
+
+
+def read_json(path: Path, kind: type[Content], remedy: str) -> Content:
+    """The object or list (`kind`) in a JSON file.
+
+    Raises:
+        ValueError: if it is damaged, naming the remedy.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        content = None
+    if not isinstance(content, kind):
+        raise ValueError(f"{path} is damaged: {remedy}.")
+    return content
+
+
+def read_arrays(path: Path, names: Sequence[str], remedy: str) -> dict[str, NDArray]:
+    """Arrays of those names from a file of NumPy's.
+
+    Raises:
+        ValueError: if it is damaged, naming the remedy.
+    """
+    try:
+        with np.load(path) as file:
+            return {name: file[name] for name in names}
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # a damaged archive can fail in any of its readers
+        raise ValueError(f"{path} is damaged ({type(error).__name__}): {remedy}.") from error
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Have a folder to this process alone, until it is done or dead, and clear what others left.
+
+    Without effect on Windows.
+
+    Raises:
+        RuntimeError: if another one has it.
+    """
+    with (folder / LOCK).open("a+") as file:
+        _lock(file, folder)
+        clear_partial(folder)
+        file.truncate(0)
+        file.write(str(os.getpid()))
+        file.flush()
+        try:
+            yield
+        finally:
+            file.truncate(0)  # the file stays: who deletes it might delete the next one's lock
+
+
+def _lock(file: TextIO, folder: Path) -> None:
+    try:
+        import fcntl
+    except ImportError:
+        return
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        file.seek(0)
+        raise RuntimeError(
+            f"process {file.read()} works in {folder}: wait until it is done, stop it, or choose "
+            "another output"
+        ) from None
+
+
+def is_free(folder: Path) -> bool:
+    """Whether there is nothing, or a folder with no more than what a dead run had not written."""
+    if not folder.is_dir():
+        return not folder.exists()
+    return all(path.name == LOCK or _is_partial(path) for path in folder.iterdir())
+
+
+def clear_partial(folder: Path) -> None:
+    """Delete what dead runs of this machine had begun to write in a folder and those below it."""
+    for path in folder.rglob(f".*.{PARTIAL}"):
+        by = re.search(rf"\.{re.escape(platform.node())}\.(\d+)$", path.stem)
+        if by is not None and not _runs(int(by[1])):
+            path.unlink(missing_ok=True)
+
+
+def _is_partial(path: Path) -> bool:
+    return path.name.startswith(".") and path.suffix == f".{PARTIAL}"
+
+
+def _runs(process: int) -> bool:
+    """Whether it does, as far as that can be asked."""
+    if os.name != "posix":
+        return True
+    try:
+        os.kill(process, 0)  # sends nothing
+    except ProcessLookupError:
+        return False
+    except OSError:  # it is somebody else's
+        return True
+    return True

@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+from dead_runs import die_writing
 from kfenv.agents.contest.cost import relative_cost
 from kfenv.agents.contest.evaluation import Contest, evaluate
 from kfenv.agents.contest.intervals import mean_interval, median_interval
@@ -233,6 +234,45 @@ def test_an_interrupted_contest_resumes(tmp_path, evaluated):
 def test_resuming_another_contest_is_refused(evaluated):
     with pytest.raises(ValueError, match="another contest"):
         evaluate(small(seed=4), evaluated[0], processes=1, resume=True)
+
+
+@pytest.mark.parametrize("stored", [b"", b"PK\x03\x04", 1, 7])
+def test_damaged_scores_are_named_before_anything_is_done(evaluated, tmp_path, stored):
+    """An archive cut short, or arrays of another number of episodes."""
+    folder = tmp_path / "out"
+    shutil.copytree(evaluated[0], folder)
+    path = folder / "scores" / "fixed.npz"
+    if isinstance(stored, bytes):
+        path.write_bytes(stored)
+    else:
+        with np.load(path) as file:
+            fields = dict(file)
+        kept = {name: np.resize(fields[name], stored) for name in ("rmse", "lost", "nees")}
+        np.savez(path, **fields | kept | {"nis": np.ones((stored, 4))})
+    started = []
+    with pytest.raises(ValueError, match=r"scores/fixed.npz .*: delete it, and --resume scores"):
+        evaluate(small(), folder, 1, True, started=started.append)
+    assert not started
+
+
+@pytest.mark.parametrize("content", ["{", "[1]", ""])
+def test_a_damaged_description_is_named(evaluated, tmp_path, content):
+    folder = tmp_path / "out"
+    shutil.copytree(evaluated[0], folder)
+    (folder / "contest.json").write_text(content)
+    with pytest.raises(ValueError, match=r"contest.json is damaged: name another folder"):
+        evaluate(small(), folder, 1, True)
+
+
+@pytest.mark.parametrize("resume", [False, True])
+def test_a_contest_that_was_killed_at_its_first_file_begins_anew(tmp_path, resume):
+    folder = tmp_path / "out"
+    folder.mkdir()
+    die_writing(folder / "contest.json")
+    assert [path.name for path in folder.iterdir()] != []
+    contest = small(agents=(), tuning_trials=0, episodes=2)
+    evaluate(contest, folder, processes=1, resume=resume)
+    assert {path.name for path in folder.iterdir()} == {"contest.json", "scores", "results.json"}
 
 
 def test_bad_environment_keywords_leave_no_folder(tmp_path):

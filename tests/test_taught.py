@@ -205,7 +205,7 @@ def test_runs_repeat_and_resume(tmp_path, monkeypatch):
         yield Stop()
 
     with monkeypatch.context() as patch, pytest.raises(TrainingInterrupted, match="--resume"):
-        patch.setattr(taught, "ctrl_c_as_event", stopping)
+        patch.setattr(taught, "stop_as_event", stopping)
         run("three")
     record = json.loads((tmp_path / "three" / "training.json").read_text())
     assert not record["finished"] and record["updates"] < 5

@@ -3,10 +3,13 @@
 import itertools
 import json
 import signal
+import subprocess
+import sys
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from dead_runs import die_writing
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from hypothesis import given
@@ -162,14 +165,14 @@ def tiny(tmp_path):
 
 @pytest.fixture
 def press_ctrl_c(monkeypatch):
-    """Press Ctrl-C in the given vector step of the next run."""
+    """Press Ctrl-C, or send another signal, in the given vector step of the next run."""
 
-    def at(step):
+    def at(step, number=signal.SIGINT):
         calls, original = iter(range(1, 10**6)), VectorEnvAdapter.step_wait
 
         def step_wait(self):
             if next(calls) == step:
-                signal.raise_signal(signal.SIGINT)
+                signal.raise_signal(number)
             return original(self)
 
         monkeypatch.setattr(VectorEnvAdapter, "step_wait", step_wait)
@@ -186,7 +189,8 @@ def test_training_writes_all_that_is_promised(tiny, algorithm, tmp_path):
     policy = tiny(algorithm=algorithm, steps=500)
     folder = tmp_path / "run"
     assert policy == folder / "policy.npz"
-    wanted = {"config.json", "checkpoint.zip", "policy.npz", "training.json", "tensorboard"}
+    wanted = {"config.json", "checkpoint.zip", "policy.npz", "training.json", "tensorboard",
+              ".lock"}  # fmt: skip
     wanted |= {"replay_buffer.pkl"} if algorithm == "sac" else set()
     assert {path.name for path in folder.iterdir()} == wanted
     config = json.loads((folder / "config.json").read_text())
@@ -208,9 +212,14 @@ def test_same_seed_same_policy(tiny, algorithm):
     assert tiny("three", algorithm, seed=2).read_bytes() != one
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
-def test_ctrl_c_saves_and_resume_ends_at_the_same_step(tiny, press_ctrl_c, algorithm, tmp_path):
-    press_ctrl_c(70)  # of 128: in the middle of a rollout of 16
+@pytest.mark.parametrize(
+    ("algorithm", "number"),
+    [("ppo", signal.SIGINT), ("sac", signal.SIGINT), ("ppo", signal.SIGTERM)],
+)
+def test_ctrl_c_saves_and_resume_ends_at_the_same_step(
+    tiny, press_ctrl_c, algorithm, number, tmp_path
+):
+    press_ctrl_c(70, number)  # of 128: in the middle of a rollout of 16
     with pytest.raises(TrainingInterrupted, match=r"256 of 512 steps.*--resume"):
         tiny(algorithm=algorithm)
     record = _record(tmp_path / "run")
@@ -223,9 +232,10 @@ def test_ctrl_c_saves_and_resume_ends_at_the_same_step(tiny, press_ctrl_c, algor
 
 
 def test_ctrl_c_is_back_to_normal_after_a_run(tiny):
-    before = signal.getsignal(signal.SIGINT)
+    numbers = signal.SIGINT, signal.SIGTERM
+    before = [signal.getsignal(number) for number in numbers]
     tiny()
-    assert signal.getsignal(signal.SIGINT) is before
+    assert [signal.getsignal(number) for number in numbers] == before
 
 
 def test_resume_keeps_the_replay_buffer(tiny, tmp_path):
@@ -298,6 +308,47 @@ def test_resume_refuses_a_folder_without_a_run_or_with_a_damaged_one(tiny, tmp_p
     checkpoint.write_bytes(checkpoint.read_bytes()[:1000])
     with pytest.raises(ValueError, match=r"checkpoint .* is damaged"):
         tiny(resume=True)
+
+
+def test_a_lost_checkpoint_is_no_silent_restart(tiny, tmp_path):
+    policy = tiny()
+    before = policy.read_bytes()
+    (tmp_path / "run" / "checkpoint.zip").unlink()
+    with pytest.raises(FileNotFoundError, match=r"lost its checkpoint.*put the checkpoint back"):
+        tiny(resume=True)
+    assert policy.read_bytes() == before
+
+
+def test_a_damaged_record_is_named(tiny, tmp_path):
+    tiny()
+    for content in ("[]", "3", "{"):
+        (tmp_path / "run" / "training.json").write_text(content)
+        with pytest.raises(ValueError, match=r"training.json is damaged: delete it; the run goes"):
+            tiny(resume=True)
+
+
+def test_a_folder_takes_one_training_at_a_time_until_it_is_dead(tiny, tmp_path):
+    tiny()
+    hold = (
+        "import sys, time; from pathlib import Path; from kfenv.agents.files import locked"
+        "\nwith locked(Path(sys.argv[1])): print(flush=True); time.sleep(600)"
+    )
+    command = [sys.executable, "-c", hold, str(tmp_path / "run")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as other:
+        other.stdout.readline()
+        with pytest.raises(RuntimeError, match=rf"process {other.pid} works in .*run: wait"):
+            tiny(steps=1024, resume=True)
+        other.kill()
+    assert _record(tmp_path / "run")["steps"] == 512
+    tiny(steps=1024, resume=True)
+    assert _record(tmp_path / "run")["steps"] == 1024
+
+
+def test_a_training_that_was_killed_at_its_first_file_begins_anew(tiny, tmp_path):
+    (tmp_path / "run").mkdir()
+    die_writing(tmp_path / "run" / "config.json")
+    tiny()
+    assert not list((tmp_path / "run").glob(".config*"))
 
 
 def test_bad_input_is_refused_before_anything_is_written(tiny, tmp_path):

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from ..files import is_free
 from .console import complaints, console
 from .contest import DEFAULT_AGENTS, run_contest
 from .options import Resume, Seed
@@ -30,7 +31,7 @@ def demo(
     env, kwargs = "kfenv/RadarTracking-v0", {"rate": 2.0}
     learned = output / "learned"
     with complaints():
-        if output.exists() and any(output.iterdir()) and not resume:
+        if not is_free(output) and not resume:
             raise FileExistsError(
                 f"The folder {output} is not empty: name another with --output, or go on "
                 "with --resume."
@@ -39,7 +40,7 @@ def demo(
             console.print(f"Training PPO for {steps:,} steps on random flights and faults ...")
             load_training()(
                 env, algorithm="ppo", steps=steps, seed=seed, output=learned, env_kwargs=kwargs,
-                resume=resume and learned.exists(),
+                resume=resume and (learned / "config.json").exists(),
             )  # fmt: skip
         console.print(f"Contest on {episodes} unseen episodes; every rule is tuned first ...")
         run_contest(
@@ -51,5 +52,5 @@ def demo(
 def _trained(folder: Path) -> int:
     try:
         return int(json.loads((folder / "training.json").read_text())["steps"])
-    except (OSError, ValueError, KeyError):
+    except (OSError, ValueError, TypeError, KeyError):
         return 0

@@ -12,7 +12,7 @@ from typing import Any
 from ..contestants.learned import Learned
 from ..contestants.registry import NAMES, make_agent
 from ..executor import run_jobs
-from ..files import write_json
+from ..files import clear_partial, is_free, read_json, write_json
 from .cost import relative_cost
 from .rollout import check_scored, draw_episodes, rollout, scenario_and_options
 from .scores import Scores, read_cost, read_scores, read_values, scores_path, write_scores
@@ -111,17 +111,27 @@ def evaluate(
     """
     _complain_first(contest)
     _admit(output, contest, resume)
-    names = contest.all_agents
+    names, episodes = contest.all_agents, _episodes(contest)
     todo = [name for name in names if not scores_path(output, name).exists()]
+    done = [name for name in names if name not in todo]
+    for name in done:
+        read_scores(output, name, episodes)  # complains
     started(len(names))
-    for name in set(names) - set(todo):
+    for name in done:
         advance(name)
-    for name, done in run_jobs(partial(run_agent, contest, tuned=tuned), todo, processes):
-        write_scores(output, name, *done)
+    for name, scored in run_jobs(partial(run_agent, contest, tuned=tuned), todo, processes):
+        write_scores(output, name, *scored)
         advance(name)
     results = _results(contest, output)
     write_json(output / "results.json", results)
     return results
+
+
+def _episodes(contest: Contest) -> int:
+    """How many there are: a real log may have fewer than asked."""
+    scenario, _ = scenario_and_options(contest.env_id, contest.env_kwargs)
+    recorded = scenario.recorded(contest.split, contest.episodes)
+    return contest.episodes if recorded is None else len(recorded)
 
 
 def _results(contest: Contest, output: Path) -> list[dict[str, Any]]:
@@ -212,27 +222,29 @@ def _admit(output: Path, contest: Contest, resume: bool) -> None:
     path = output / "contest.json"
     if output.exists() and not output.is_dir():
         raise FileExistsError(f"{output} is a file: name a folder for the results.")
-    if output.exists() and any(output.iterdir()):
+    if not is_free(output):
         if not resume:
             raise FileExistsError(
                 f"The folder {output} is not empty: name another, or go on with --resume."
             )
-        held = json.loads(path.read_text()) if path.exists() else {"policies": {}}
+        remedy = "name another folder for the contest"
+        held = read_json(path, dict, remedy) if path.exists() else {}
         if not _continues(held, content):
             raise ValueError(
                 f"The folder {output} holds another contest: name another folder, or repeat the "
                 "options that it was begun with."
             )
-        content["policies"] = held["policies"] | content["policies"]
+        content["policies"] = held.get("policies", {}) | content["policies"]
     output.mkdir(parents=True, exist_ok=True)
+    clear_partial(output)
     write_json(path, content)
 
 
 def _continues(held: dict[str, Any], content: dict[str, Any]) -> bool:
     """Whether a contest compares on the same as the one held, with the same policies."""
     one, other = ({k: v for k, v in c.items() if k not in COMPARED} for c in (held, content))
-    common = held["policies"].keys() & content["policies"].keys()
-    return one == other and all(held["policies"][k] == content["policies"][k] for k in common)
+    former, now = held.get("policies", {}), content["policies"]
+    return one == other and all(former[k] == now[k] for k in former.keys() & now.keys())
 
 
 def _digests(contest: Contest) -> dict[str, str]:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..files import written_whole
+from ..files import read_json, written_whole
 from . import formatting
 from .suites import IN_DISTRIBUTION, find_suite
 
@@ -21,7 +20,8 @@ def read_results(folder: Path) -> Results:
         ValueError: if it wrote nothing there, or another version's episodes were met.
     """
     path = folder / "results.json"
-    results = json.loads(path.read_text()) if path.exists() else []
+    remedy = "give the command of the suite again, with --resume"
+    results = read_json(path, list, remedy) if path.exists() else []
     if not results or "suite" not in results[0]:
         raise ValueError(f"The folder {folder} holds no results of `kfenv suite`.")
     name, suite = results[0]["suite"], find_suite(results[0]["suite"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..contestants.particles.bound import ParticleBound
 from ..executor import run_jobs
-from ..files import write_json, written_whole
+from ..files import clear_partial, is_free, read_arrays, read_json, write_json, written_whole
 from .rollout import draw_episodes, rollout, scenario_and_options
 
 Array = NDArray[np.float64]
@@ -89,11 +88,13 @@ def measure_limit(
 def _admit(limit: Limit, output: Path, resume: bool) -> None:
     """Let a run into its folder, or complain."""
     record = output / "particles.json"
-    if output.exists() and any(output.iterdir()) and not resume:
+    if not is_free(output) and not resume:
         raise FileExistsError(f"The folder {output} is not empty: name another, or use --resume.")
-    if record.exists() and json.loads(record.read_text()) != asdict(limit):
+    remedy = "name another folder for the limit"
+    if record.exists() and read_json(record, dict, remedy) != asdict(limit):
         raise ValueError(f"{output} holds another run of kfenv limit: name another folder.")
     (output / "blocks").mkdir(parents=True, exist_ok=True)
+    clear_partial(output)
     write_json(record, asdict(limit))
 
 
@@ -136,5 +137,6 @@ def _summary(limit: Limit, output: Path) -> dict[str, Any]:
 
 def _joined(limit: Limit, output: Path, repeat: int, name: str) -> Array:
     """Of all episodes of one repeat."""
-    begins = range(0, limit.episodes, BLOCK)
-    return np.concatenate([np.load(_path(output, (repeat, begin)))[name] for begin in begins])
+    paths = [_path(output, (repeat, begin)) for begin in range(0, limit.episodes, BLOCK)]
+    remedy = "delete it, and --resume computes it again"
+    return np.concatenate([read_arrays(path, [name], remedy)[name] for path in paths])

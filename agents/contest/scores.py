@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..contestants.registry import make_agent
-from ..files import written_whole
+from ..files import read_arrays, written_whole
 
 Array = NDArray[np.float64]
 STORED = ("rmse", "lost", "nees", "nis", "seconds")
+REMEDY = "delete it, and --resume scores the agent again"
 
 
 @dataclass(frozen=True)
@@ -65,20 +67,36 @@ def write_scores(
         )  # fmt: skip
 
 
-def read_scores(output: Path, name: str) -> Scores:
-    """The stored scores of an agent."""
-    with np.load(scores_path(output, name)) as file:
-        *arrays, seconds = (file[field] for field in STORED)
-        return Scores(*arrays, float(seconds))
+def read_scores(output: Path, name: str, episodes: int | None = None) -> Scores:
+    """The stored scores of an agent.
+
+    Args:
+        episodes: that they must be of.
+
+    Raises:
+        ValueError: if the file is damaged, or of another number of episodes.
+    """
+    *arrays, seconds = _read(output, name, *STORED)
+    for field, array in zip(STORED, arrays, strict=False):
+        if array.shape[:1] != (episodes or len(arrays[0]),):
+            raise ValueError(
+                f"{scores_path(output, name)} holds {field} of shape {array.shape} where "
+                f"{episodes} episodes were expected: {REMEDY}."
+            )
+    return Scores(*arrays, float(seconds))
 
 
 def read_values(output: Path, name: str) -> dict[str, float]:
     """The parameters that an agent was scored with."""
-    with np.load(scores_path(output, name)) as file:
-        return dict(zip(file["parameters"].tolist(), file["values"].tolist(), strict=True))
+    names, values = _read(output, name, "parameters", "values")
+    return dict(zip(names.tolist(), values.tolist(), strict=True))
 
 
 def read_cost(output: Path, name: str) -> float | None:
     """An agent's CPU time relative to the bare engine's, if it was measured."""
-    with np.load(scores_path(output, name)) as file:
-        return None if np.isnan(file["cost"]) else float(file["cost"])
+    [cost] = _read(output, name, "cost")
+    return None if np.isnan(cost) else float(cost)
+
+
+def _read(output: Path, name: str, *fields: str) -> list[NDArray[Any]]:
+    return list(read_arrays(scores_path(output, name), fields, REMEDY).values())

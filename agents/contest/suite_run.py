@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +14,7 @@ import numpy as np
 from kfenv.names import unknown
 
 from ..contestants.registry import AGENTS, FILTERS, make_agent
-from ..files import write_json
+from ..files import is_free, read_json, write_json
 from .evaluation import Contest, evaluate
 from .recording_hash import recording_hash
 from .rollout import draw_episodes, scenario_and_options
@@ -183,14 +182,14 @@ def _admit(output: Path, told: dict[str, Any], agents: tuple[str, ...], resume: 
     for agent in agents:
         make_agent(agent)  # complains
     path = output / "suite.json"
-    if not output.exists() or (output.is_dir() and not any(output.iterdir())):
+    if is_free(output):
         output.mkdir(parents=True, exist_ok=True)
         return agents
     if not resume:
         raise FileExistsError(
             f"The folder {output} is not empty: name another, or go on with --resume."
         )
-    held = json.loads(path.read_text()) if path.exists() else {}
+    held = read_json(path, dict, "name another folder for the suite") if path.exists() else {}
     if any(held.get(key) != value for key, value in told.items()):
         raise ValueError(
             f"The folder {output} holds another suite, other recordings or another number of "
@@ -209,7 +208,7 @@ def _gather(suite: Suite, output: Path, told: dict[str, Any]) -> list[dict[str, 
     return [
         {"case": name, "what": what.get(name, FLIGHT)} | result | about
         for name in order
-        for result in json.loads(found[name].read_text())
+        for result in read_json(found[name], list, f"run the case {name} with --resume")
     ]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 import warnings
@@ -15,7 +14,7 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
-from ..files import write_json, written_whole
+from ..files import read_json, write_json, written_whole
 from .export import export_policy, layout
 from .models import model_class
 from .progress import TrainingProgress
@@ -146,10 +145,9 @@ class Bookkeeper(BaseCallback):
 
 def read_record(folder: Path) -> dict[str, Any]:
     """The record of the run so far; empty where there is none."""
-    try:
-        return json.loads((folder / "training.json").read_text(encoding="utf-8"))
-    except (FileNotFoundError, ValueError):
-        return {}
+    path = folder / "training.json"
+    remedy = "delete it; the run goes on, and its learning curve begins anew"
+    return read_json(path, dict, remedy) if path.exists() else {}
 
 
 def replay_buffer_bytes(model: BaseAlgorithm) -> int:

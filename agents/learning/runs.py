@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..files import is_free
 from .settings import RECURRENT_PPO
 
 
 class TrainingInterrupted(KeyboardInterrupt):
-    """Ctrl-C in a training run; the checkpoint is saved, and the message says how to go on."""
+    """Ctrl-C or SIGTERM in training; the checkpoint is saved, and the message says how to go on."""
 
 
 def describe_run(
@@ -54,8 +55,9 @@ def _as_json(value: Any) -> Any:
 def admit(folder: Path, config: Mapping[str, Any], resume: bool) -> None:
     """Raise unless the run may write into `folder`; touch nothing."""
     if resume:
-        return _check_same_run(folder, config)
-    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        _check_same_run(folder, config)
+        return _check_checkpoint(folder)
+    if not is_free(folder):
         raise FileExistsError(
             f"{folder} exists and is not an empty folder: choose another output, or continue "
             "the run in it with --resume (resume=True)"
@@ -84,6 +86,15 @@ def _check_same_run(folder: Path, config: Mapping[str, Any]) -> None:
             )
 
 
+def _check_checkpoint(folder: Path) -> None:
+    """Raise if the run in `folder` has come to a policy and has no checkpoint to go on from."""
+    if (folder / "policy.npz").exists() and not any(folder.glob("checkpoint.*")):
+        raise FileNotFoundError(
+            f"{folder} has lost its checkpoint, without which the run would begin anew and replace "
+            "its policy: put the checkpoint back, or start a new run in another folder"
+        )
+
+
 def _flat(config: Mapping[str, Any]) -> dict[str, Any]:
     """The entries that a resumed run must share, with one-level names."""
     flat = {key: config.get(key) for key in ("env_id", "algorithm", "seed", "init")}
@@ -104,20 +115,28 @@ def torch_threads(number: int) -> Iterator[None]:
 
 
 @contextmanager
-def ctrl_c_as_event() -> Iterator[threading.Event]:
-    """Turn the first Ctrl-C into an event, so that no update is cut in two; the second one acts."""
+def stop_as_event() -> Iterator[threading.Event]:
+    """Turn the first Ctrl-C or SIGTERM into an event, so that no update is cut in two.
+
+    The second one acts.
+    """
     stop = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield stop  # only the main thread may handle signals
         return
-    former = signal.getsignal(signal.SIGINT)
+    former = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def restore() -> None:
+        for number, handler in former.items():
+            signal.signal(number, handler)
 
     def request_stop(*_: Any) -> None:
         stop.set()
-        signal.signal(signal.SIGINT, former)
+        restore()
 
-    signal.signal(signal.SIGINT, request_stop)
+    for number in former:
+        signal.signal(number, request_stop)
     try:
         yield stop
     finally:
-        signal.signal(signal.SIGINT, former)
+        restore()

@@ -7,6 +7,7 @@ The output folder holds
     policy.npz      the policy, for `kfenv.agents.contestants.policy`
     training.json   how far the run has come, and its course
     tensorboard/    the same for TensorBoard
+    .lock           the id of the process that trains, while it does
 """
 
 from __future__ import annotations
@@ -32,14 +33,14 @@ from ..contestants.agent import Agent, RecordingFilter
 from ..contestants.learned import Learned
 from ..contestants.policy import write_policy
 from ..contestants.registry import make_agent
-from ..files import write_json
+from ..files import locked, write_json
 from .export import layout
 from .lessons import descend, learn, standardise
 from .networks import RecurrentNetwork
 from .progress import TrainingProgress
 from .refinement import Chunk, Refinery, chunks
 from .rolling import Roll, roll
-from .runs import TrainingInterrupted, admit, ctrl_c_as_event, describe_run, torch_threads
+from .runs import TrainingInterrupted, admit, describe_run, stop_as_event, torch_threads
 from .settings import TaughtSettings, read_settings
 from .taught_checkpoints import Progress, load_checkpoint, save_checkpoint
 from .worlds import TRAINING, Part, build_world, choose
@@ -93,7 +94,7 @@ def teach(
         config_path, overrides: settings that differ from the bundled ones.
 
     Raises:
-        TrainingInterrupted: Ctrl-C; the checkpoint is saved.
+        TrainingInterrupted: Ctrl-C or SIGTERM; the checkpoint is saved.
         FileExistsError: if `output` holds files already and `resume` is not set.
         ValueError: for an argument or a setting that is wrong.
     """
@@ -110,8 +111,8 @@ def teach(
     folder = Path(output)
     admit(folder, config, resume)
     folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / "config.json", config)
-    with torch_threads(settings.torch_threads), ctrl_c_as_event() as stop:
+    with locked(folder), torch_threads(settings.torch_threads), stop_as_event() as stop:
+        write_json(folder / "config.json", config)
         course = Course(folder, config, settings, curriculum, parts, seed)
         course.run(teacher, stop, progress)
     return folder / "policy.npz"

@@ -8,6 +8,7 @@ The output folder holds
     policy.npz         the policy as plain arrays, for `NumpyPolicy`
     training.json      how far the run has come, its speed and its learning curve
     tensorboard/       the same and more for TensorBoard
+    .lock              the id of the process that trains, while it does
 """
 
 from __future__ import annotations
@@ -30,11 +31,11 @@ except ImportError as error:
 
 from ..contest.rollout import find_spec
 from ..contestants.learned import Learned
-from ..files import write_json
+from ..files import locked, write_json
 from .checkpoints import Bookkeeper, load_checkpoint
 from .models import check_start, model_class, new_model
 from .progress import TrainingProgress
-from .runs import TrainingInterrupted, admit, ctrl_c_as_event, describe_run, torch_threads
+from .runs import TrainingInterrupted, admit, describe_run, stop_as_event, torch_threads
 from .scaling import is_of_kfenv, reward_of, scaling_for
 from .settings import RECURRENT_PPO, Settings, read_settings
 from .stable_baselines import VectorEnvAdapter
@@ -73,8 +74,11 @@ def train(
             The environments start new episodes, so the policy differs from an uninterrupted run's.
 
     Raises:
-        TrainingInterrupted: Ctrl-C. The checkpoint is saved; a second Ctrl-C stops without it.
+        TrainingInterrupted: Ctrl-C or SIGTERM. The checkpoint is saved; a second one stops
+            without it.
         FileExistsError: `output` holds files already and `resume` is not set.
+        FileNotFoundError: there is no run to resume, or it has lost its checkpoint.
+        RuntimeError: another process trains in `output`.
         ValueError: An argument or a setting is wrong; the message says which and what to do.
     """
     _check_counts(steps, seed)
@@ -94,8 +98,8 @@ def train(
         if start is not None:
             check_start(algorithm, start, env.core)
         folder.mkdir(parents=True, exist_ok=True)
-        write_json(folder / "config.json", config)
-        with torch_threads(settings.torch_threads):
+        with locked(folder), torch_threads(settings.torch_threads):
+            write_json(folder / "config.json", config)
             _run(folder, config, settings, env, start, progress)
     finally:
         env.close()
@@ -179,7 +183,7 @@ def _run(
     model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
     total = math.ceil(config["steps"] / settings.block) * settings.block
     with (
-        ctrl_c_as_event() as stop,
+        stop_as_event() as stop,
         TrainingProgress(algorithm, total, model.num_timesteps, shown=progress) as bar,
     ):
         keeper = Bookkeeper(folder, config, settings, total, stop, bar)

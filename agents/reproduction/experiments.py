@@ -11,6 +11,7 @@ from rich.progress import Progress
 
 from kfenv.names import unknown
 
+from ..files import is_free
 from . import (
     bistatic,
     gnss_tracking,
@@ -98,7 +99,7 @@ def reproduce(
     """
     if runs is not None and runs < 2:
         raise ValueError(f"runs must be at least 2, since spreads are told, got {runs}.")
-    if output.exists() and any(output.iterdir()) and not resume:
+    if not is_free(output) and not resume:
         raise FileExistsError(
             f"The folder {output} is not empty: name another with --output, or go on with --resume."
         )

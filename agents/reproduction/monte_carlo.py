@@ -25,7 +25,7 @@ from kfenv.models.namespaces import batch
 from kfenv.scenarios.recording import Recording
 
 from ..executor import run_jobs
-from ..files import written_whole
+from ..files import clear_partial, read_arrays, written_whole
 
 Array = NDArray[np.float64]
 
@@ -150,6 +150,7 @@ def run_study(
     """
     folder = folder / study.key
     folder.mkdir(parents=True, exist_ok=True)
+    clear_partial(folder)
     starts = range(0, study.runs, CHUNK)
     paths = {start: folder / f"{_fingerprint(study, start)}.npz" for start in starts}
     todo = [start for start in starts if not paths[start].exists()]
@@ -158,7 +159,9 @@ def run_study(
         with written_whole(paths[start]) as file:
             np.savez(file, **arrays)
         advance(_size(study, start))
-    chunks = [np.load(paths[start]) for start in starts]
+    names = [f"{i}/{field}" for i in range(len(study.methods)) for field in Outcome._fields]
+    remedy = "delete it, and the same command computes it again"
+    chunks = [read_arrays(path, names, remedy) for path in paths.values()]
     return {
         method.label: Outcome(
             *(
