@@ -1,5 +1,6 @@
 """The command line does what its help says, and complains in one sentence."""
 
+import importlib
 import json
 import os
 import signal
@@ -8,7 +9,9 @@ import sys
 import time
 
 import pytest
+import typer
 from kfenv.agents.cli.app import app
+from kfenv.agents.cli.console import complaints
 from typer.testing import CliRunner
 
 ENV = "kfenv/RadarTracking-v0"
@@ -96,6 +99,32 @@ def test_a_trained_policy_can_be_contested(trained, tmp_path):
     assert result.exit_code == 0, result.output
     names = [r["agent"] for r in json.loads((folder / "results.json").read_text())]
     assert names == ["fixed", "fixed-tuned", "mine"]
+
+
+def test_a_damaged_cache_of_compiled_code_is_told_in_a_sentence(tmp_path, monkeypatch, capsys):
+    module = tmp_path / "compiled_once.py"
+    module.write_text("from numba import njit\n\n@njit(cache=True)\ndef f(x):\n    return x + 1\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert importlib.import_module("compiled_once").f(1) == 2
+    [index] = tmp_path.rglob("*.nbi")
+    for content in (b"", index.read_bytes()[:40]):
+        index.write_bytes(content)
+        sys.modules.pop("compiled_once")
+        with pytest.raises(typer.Exit), complaints():
+            importlib.import_module("compiled_once").f(1)
+        told = capsys.readouterr().err
+        assert "set NUMBA_CACHE_DIR" in told and "delete all *.nbi files" in told
+
+
+def test_where_no_cache_can_be_written_the_command_line_says_what_to_set(tmp_path):
+    nowhere = (
+        "from numba.core import caching; caching.CacheImpl._locator_classes = []; "
+        "from kfenv.agents.cli.app import app; app()"
+    )
+    command = [sys.executable, "-c", nowhere, "evaluate", ENV, "--output", str(tmp_path / "out")]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert run.returncode == 2 and "Traceback" not in run.stderr
+    assert "set NUMBA_CACHE_DIR to a new folder" in run.stderr
 
 
 def test_ctrl_c_in_training_keeps_a_checkpoint_and_resumes(tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -37,6 +39,22 @@ def complaints() -> Iterator[None]:
         message = str(interrupt) or "Interrupted: what was finished is kept; go on with --resume."
         Console(stderr=True).print(message, soft_wrap=True)
         raise typer.Exit(130) from None
-    except (ValueError, TypeError, OSError, RuntimeError, GymnasiumError) as error:
-        Console(stderr=True).print(f"[red]Error:[/red] {escape(str(error))}", soft_wrap=True)
+    except Exception as error:
+        mendable = isinstance(error, (ValueError, TypeError, OSError, RuntimeError, GymnasiumError))
+        message = _about_the_cache(error) or (str(error) if mendable else None)
+        if message is None:
+            raise
+        Console(stderr=True).print(f"[red]Error:[/red] {escape(message)}", soft_wrap=True)
         raise typer.Exit(2) from None
+
+
+def _about_the_cache(error: Exception) -> str | None:
+    """What to do if Numba cannot read or write compiled code; None if the error is another."""
+    told = "".join(traceback.format_exception(error))  # that of a worker process included
+    if not re.search(r"numba[/\\]core[/\\]caching\.py", told):
+        return None
+    return (
+        f"Numba cannot read or write its cache of compiled code ({type(error).__name__}: {error}): "
+        "set NUMBA_CACHE_DIR to a new folder that can be written, or, if a file there is damaged, "
+        "delete all *.nbi files beside the program."
+    )
