@@ -278,9 +278,11 @@ def test_a_log_that_is_too_short_slow_or_still(simulated, paths, tmp_path):
     assert "set rate to 25 or less" in complaint(ValueError, gym.make, INERTIAL, log=slow[:2])
     still = simulated[0].gnss.copy()
     still[:, 1:4], still[:, 4:7] = still[0, 1:4], 0.0
-    parked = simulated[0]._replace(gnss=still).write(tmp_path)
+    imu = simulated[0].imu.copy()
+    imu[:, 1:] = [0.0, 0.0, -9.8, 0.0, 0.0, 0.0]
+    parked = simulated[0]._replace(gnss=still, imu=imu).write(tmp_path)
     said = complaint(ValueError, gym.make, INERTIAL, log=parked[:2])
-    assert "never moves faster than 3 m/s" in said
+    assert "never moves faster than 1.41 m/s" in said
 
 
 def test_good_logs_pass(simulated, tmp_path):

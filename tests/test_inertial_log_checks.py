@@ -115,11 +115,18 @@ def turned_gyroscopes(table):
 ACROSS, BACK = mounted([1, 0, 2], [1, -1, 1]), mounted([0, 1, 2], [-1, -1, 1])
 
 
-@pytest.mark.parametrize(("vehicle", "change"), [
-    (drive, ACROSS), (drive, BACK), (drive, turned_gyroscopes), (car, ACROSS), (car, BACK),
-])  # fmt: skip
-def test_an_inertial_unit_that_is_mounted_otherwise_is_named(tmp_path, vehicle, change):
-    log = vehicle(rate=RATE, every=4)[0]
+@pytest.mark.parametrize(("change", "yaw"), [(ACROSS, "90"), (BACK, "180")])
+def test_a_cars_unit_that_is_mounted_otherwise_is_measured(tmp_path, change, yaw):
+    log = car(rate=RATE, every=4)[0]
+    change(log.imu)
+    said = complaint(ValueError, read_log, log.write(tmp_path)[:2], RATE)
+    told = float(said.split("mounting=[")[1].split("]")[0].split(",")[2])
+    assert abs(np.angle(np.exp(1j * np.radians(told - float(yaw))), deg=True)) < 2.0
+
+
+@pytest.mark.parametrize("change", [ACROSS, BACK, turned_gyroscopes])
+def test_an_aircrafts_unit_that_is_mounted_otherwise_is_named(tmp_path, change):
+    log = drive(rate=RATE, every=4)[0]
     change(log.imu)
     paths = log.write(tmp_path)
     said = complaint(ValueError, read_log, paths[:2], RATE)

@@ -10,6 +10,7 @@ from kfenv.filters.designs import DESIGNS
 from .contest import evaluate
 from .demo import demo
 from .environments import envs
+from .inspect import inspect
 from .limit import limit
 from .outages import outages
 from .reproduction import claims, reproduce
@@ -29,6 +30,7 @@ app.command()(envs)
 app.command()(train)
 app.command(epilog=FAMILY)(evaluate)
 app.command()(limit)
+app.command()(inspect)
 app.command()(outages)
 app.command()(suites)
 app.command()(suite)

@@ -93,6 +93,11 @@ class InsGnssEnv(TrackingEnv):
     - ``bias_time``: their correlation times, s, default {scenario.bias_time}.
     - ``earth``: whether that filter also takes the Earth's rotation, its curvature and the
       loss of gravity with height into account (default no): for a long ``log``.
+    - ``mounting``: roll, pitch and yaw of the ``log``'s unit in the vehicle, deg, which are taken
+      out, default {scenario.mounting}. `kfenv inspect` estimates them, and an unlikely log is
+      refused with the estimates.
+    - ``time_offset``: what is added to the inertial times of the ``log``, s. Default
+      {scenario.time_offset:g}; estimated likewise.
     - ``constraints``: what a vehicle on wheels cannot do, measured as nothing beside the fixes
       of a ``log``, in outages too, each a channel group with a knob of its own; default
       {scenario.constraints}. ``"non_holonomic"``: its velocity to the right and along the body's

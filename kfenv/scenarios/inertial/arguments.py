@@ -47,3 +47,14 @@ def check_constraints(names: object, has_log: bool, has_biases: bool) -> None:
         raise ValueError("constraints are for a log of a vehicle on wheels: simulated units fly.")
     if ZERO_RATE in names and not has_biases:
         raise ValueError(f"The constraint {ZERO_RATE!r} needs biases=True: it measures them.")
+
+
+def check_corrections(mounting: object, time_offset: object, has_log: bool) -> None:
+    """Complain unless a unit's attitude is three angles and its clock's offset a number."""
+    right = isinstance(mounting, Sequence) and not isinstance(mounting, str) and len(mounting) == 3
+    if not right or not all(is_number(angle) for angle in mounting):
+        raise ValueError(f"mounting must be roll, pitch and yaw in deg, got {mounting!r}.")
+    if not is_number(time_offset):
+        raise ValueError(f"time_offset must be a number of seconds, got {time_offset!r}.")
+    if not has_log and (any(mounting) or time_offset):
+        raise ValueError("mounting and time_offset correct a log: give one.")

@@ -16,7 +16,6 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 SPAN = 1.0  # s of samples that tell whether the vehicle stands
-STANDS, MOVES = 0.2, 1.0  # m/s: slower, and faster, by the fixes that this is learnt from
 ENOUGH = 20  # fixes of either kind
 APART = 3.0  # times as lively: with less, rest and motion cannot be told apart
 
@@ -51,7 +50,8 @@ def stands(log: InertialLog) -> Mask:
     shaking = _shaking(log)
     learnt = log.row < PARTS["tuning"][1] * len(log.time)
     speed = np.linalg.norm(log.fixes.velocity[log.used], axis=1)
-    still, moving = (log.row[learnt & kind] for kind in (speed < STANDS, speed > MOVES))
+    kinds = log.fixes.stands[log.used], speed > log.fixes.moving
+    still, moving = (log.row[learnt & kind] for kind in kinds)
     if min(len(still), len(moving)) < ENOUGH:
         return np.zeros(len(log.time), bool)
     relative = (shaking / np.median(shaking[still], axis=0)).max(axis=1)

@@ -10,12 +10,16 @@ seven of these. Further columns are ignored.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kfenv.checks import gathered
+from kfenv.models.rotations import matrix_from_angles
 from kfenv.models.strapdown import GRAVITY
 from kfenv.scenarios.columns import read_columns
 
@@ -36,9 +40,13 @@ TRUTH_DISTANCE = 50.0  # m from the fixes, beyond ten of their standard deviatio
 SPAN = 5.0  # s over which the two files are compared, so that noise averages out
 MIN_SPANS = 4
 BRIDGED = 2.0  # s between fixes (or three of their intervals) that velocity may be summed over
-MOVING = 3.0  # m/s: slower, the course is noise
+MOVING = (1.0, 3.0)  # m/s: slower, the course is noise; between these by the deviation
+CLEAR_COURSE = 10.0  # deviations of velocity that make a course
+STANDS = 0.2  # m/s: slower it stands, or as slow as noise makes it look
+WEEK = 604_800.0  # s of GPS, after which some receivers begin again
 TURNING = 0.02  # rad/s rms: with less turning the gyroscopes cannot be checked by the course
-CLIMBING = 0.5  # m/s rms, likewise for the sign of vd
+CLIMBING = 0.5  # m/s rms, likewise for the sign of vd; with less by the correlation
+OPPOSITE, ENOUGH = -0.8, 10  # correlation of heights with vd that is no chance in so many spans
 FASTEST = 3.0  # rad/s rms: no vehicle turns so all the time
 
 
@@ -76,27 +84,48 @@ class FixLog:
         usual = np.abs(steps / np.median(steps) - 1.0) < 0.5
         return float(steps[usual].mean())
 
+    @property
+    def moving(self) -> float:
+        """Speed from which on the velocity has a course, m/s."""
+        if not self.deviation.size:
+            return MOVING[1]
+        usual = float(np.median(np.hypot(*self.deviation[:, 3:5].T)))
+        return float(np.clip(CLEAR_COURSE * usual, *MOVING))
 
-def read_imu(path: Path) -> ImuLog:
+    @property
+    def stands(self) -> Mask:
+        """Whether the vehicle stands (M,), as far as the fixes can tell."""
+        noise = float(np.median(np.linalg.norm(self.deviation[:, 3:], axis=1)))
+        return np.linalg.norm(self.velocity, axis=1) < max(STANDS, 2.5 * noise)
+
+
+def read_imu(
+    path: Path, mounting: Sequence[float] = (0.0, 0.0, 0.0), time_offset: float = 0.0
+) -> ImuLog:
     """Read an inertial file and check its units and axes by what gravity must look like.
+
+    Args:
+        path: of the file.
+        mounting: roll, pitch and yaw (rad) of the unit in the vehicle, which are taken out.
+        time_offset: what is added to its times, s.
 
     Raises:
         FileNotFoundError: if there is no such file.
         ValueError: naming the file, the column or axis that is wrong, and the remedy.
     """
     columns = np.array(read_columns(path, "inertial log", IMU_COLUMNS))
-    log = ImuLog(str(path), columns[0], columns[1:].T.copy())
-    _check_rows(log.path, columns, IMU_COLUMNS)
+    _check_rows(str(path), columns, IMU_COLUMNS)
+    turned = np.kron(np.eye(2), matrix_from_angles(mounting))
+    samples = columns[1:].T @ turned.T if any(mounting) else columns[1:].T.copy()
+    log = ImuLog(str(path), _unrolled(columns[0]) + time_offset, samples)
     _check_clock(log.path, log.time, slowest=0.2)
     gap = int(np.argmax(np.diff(log.time)))
     if np.diff(log.time)[gap] > MAX_IMU_GAP:
         raise ValueError(
             f"{log.path}: no sample for {np.diff(log.time)[gap]:.3g} s after t = "
-            f"{log.time[gap]:g} s; cut the log there and use the longer part."
+            f"{log.time[gap]:.12g} s; cut the log there and use the longer part."
         )
-    _check_force(log)
-    if _rms(log.samples[:, 3:]) > FASTEST:
-        raise ValueError(_degrees(log.path, f"their RMS is {_rms(log.samples[:, 3:]):.3g}"))
+    gathered(partial(_check_force, log), partial(_check_fastest, log))
     return log
 
 
@@ -109,14 +138,23 @@ def read_fixes(path: Path, truth: bool = False) -> FixLog:
     """
     names = TRUTH_COLUMNS if truth else GNSS_COLUMNS
     columns = np.array(read_columns(path, "truth" if truth else "GNSS log", names))
-    log = FixLog(str(path), columns[0], columns[1:4].T, columns[4:7].T, columns[7:].T)
-    _check_rows(log.path, columns, names)
+    _check_rows(str(path), columns, names)
+    time = _unrolled(columns[0])
+    log = FixLog(str(path), time, columns[1:4].T, columns[4:7].T, columns[7:].T)
     _check_clock(log.path, log.time, slowest=20.0)
+    gathered(partial(_check_degrees, log), partial(_check_deviations, log, names))
+    return log
+
+
+def _check_degrees(log: FixLog) -> None:
     for name, degrees, most in (("lat", log.place[:, 0], 90.0), ("lon", log.place[:, 1], 360.0)):
         if np.abs(degrees).max() > most:
             raise ValueError(
                 f"{log.path}: column {name!r} reaches {np.abs(degrees).max():g}; give degrees."
             )
+
+
+def _check_deviations(log: FixLog, names: tuple[str, ...]) -> None:
     low, high = DEVIATIONS
     wrong = ((log.deviation < low) | (log.deviation > high)).any(axis=0)
     if wrong.any():
@@ -125,7 +163,6 @@ def read_fixes(path: Path, truth: bool = False) -> FixLog:
             f"{log.path}: column {name!r} holds standard deviations: all must be positive, in m or "
             f"m/s between {low:g} and {high:g}; leave out fixes without."
         )
-    return log
 
 
 def check_together(imu: ImuLog, fixes: FixLog) -> None:
@@ -144,8 +181,8 @@ def check_together(imu: ImuLog, fixes: FixLog) -> None:
     gap = np.maximum.reduceat(np.diff(fixes.time)[: chosen[-1]], chosen[:-1])
     whole = gap <= max(BRIDGED, 3.0 * fixes.interval)
     if whole.any():
-        _check_velocity(fixes, chosen, whole)
-        _check_rates(imu, fixes, chosen, whole)
+        arguments = fixes, chosen, whole
+        gathered(partial(_check_velocity, *arguments), partial(_check_rates, imu, *arguments))
 
 
 def check_truth(truth: FixLog, imu: ImuLog, fixes: FixLog) -> None:
@@ -164,9 +201,9 @@ def check_truth(truth: FixLog, imu: ImuLog, fixes: FixLog) -> None:
     gap = int(np.argmax(steps))
     if steps[gap] > MAX_TRUTH_GAP:
         raise ValueError(
-            f"{truth.path}: no truth for {steps[gap]:.3g} s after t = {truth.time[gap]:g} s, and "
-            f"at most {MAX_TRUTH_GAP:g} s are bridged: cut the logs there and use the longer part, "
-            "or leave the truth out."
+            f"{truth.path}: no truth for {steps[gap]:.3g} s after t = {truth.time[gap]:.12g} s, "
+            f"and at most {MAX_TRUTH_GAP:g} s are bridged: cut the logs there and use the longer "
+            "part, or leave the truth out."
         )
     both = (fixes.time >= truth.time[0]) & (fixes.time <= truth.time[-1])
     track = np.stack(pymap3d.geodetic2ned(*truth.place.T, *fixes.place[0]))
@@ -204,13 +241,23 @@ def _check_rows(path: str, columns: Array, names: tuple[str, ...]) -> None:
         )
 
 
+def _unrolled(time: Array) -> Array:
+    """Times that go on where seconds of the GPS week begin again."""
+    return time + WEEK * np.cumsum(np.diff(time, prepend=time[0]) < -0.5 * WEEK)
+
+
+def _check_fastest(log: ImuLog) -> None:
+    if _rms(log.samples[:, 3:]) > FASTEST:
+        raise ValueError(_degrees(log.path, f"their RMS is {_rms(log.samples[:, 3:]):.3g}"))
+
+
 def _check_clock(path: str, time: Array, slowest: float) -> None:
     steps = np.diff(time)
     if not (steps > 0.0).all():
         row = int(np.argmin(steps > 0.0))
         raise ValueError(
-            f"{path}: column 't' does not increase in data row {row + 2}: {time[row]:g} s, then "
-            f"{time[row + 1]:g} s; sort the rows and keep one per time."
+            f"{path}: column 't' does not increase in data row {row + 2}: {time[row]:.12g} s, then "
+            f"{time[row + 1]:.12g} s; sort the rows and keep one per time."
         )
     usual = float(np.median(steps))
     if usual > slowest:
@@ -259,7 +306,7 @@ def _check_velocity(fixes: FixLog, chosen: Indices, whole: Mask) -> None:
     way = np.cumsum(0.5 * dt * (fixes.velocity[1:] + fixes.velocity[:-1]), axis=0)
     driven = np.diff(np.vstack([np.zeros(3), way])[chosen], axis=0)[whole]
     span = np.diff(fixes.time[chosen])[whole]
-    moving = np.linalg.norm(driven[:, :2], axis=1) > MOVING * span
+    moving = np.linalg.norm(driven[:, :2], axis=1) > fixes.moving * span
     if moving.sum() >= MIN_SPANS:
         ratio = _slope(driven[moving, :2], moved[moving, :2])
         if not 0.7 < ratio < 1.4:
@@ -267,14 +314,16 @@ def _check_velocity(fixes: FixLog, chosen: Indices, whole: Mask) -> None:
                 f"{fixes.path}: positions move {ratio:.3g} times as far as the velocities say: "
                 "give lat and lon in degrees, vn and ve in m/s, and keep their order."
             )
-    if _rms(driven[:, 2] / span) < CLIMBING:
+    level = _rms(driven[:, 2] / span) < CLIMBING
+    opposite = len(span) >= ENOUGH and _correlation(driven[:, 2], moved[:, 2]) < OPPOSITE
+    if level and not opposite:
         return
     ratio = _slope(driven[:, 2], moved[:, 2])
     if ratio < -0.3:
         raise ValueError(
             f"{fixes.path}: height rises where 'vd' is positive; it must be the velocity down."
         )
-    if ratio > 2.5:
+    if ratio > 2.5 and not level:
         raise ValueError(
             f"{fixes.path}: height changes {ratio:.3g} times as much as 'vd' says: give height in "
             "m and vd in m/s."
@@ -293,7 +342,7 @@ def _check_rates(imu: ImuLog, fixes: FixLog, chosen: Indices, whole: Mask) -> No
     measured = np.sum(mean[:, 3:] * down, axis=1)
     speed = np.hypot(north, east)
     # beyond half a turn in a span the course cannot be told
-    use = whole & (np.minimum(speed[1:], speed[:-1]) > MOVING) & (np.abs(rate) * span < 2.0)
+    use = whole & (np.minimum(speed[1:], speed[:-1]) > fixes.moving) & (np.abs(rate) * span < 2.0)
     if use.sum() < MIN_SPANS or _rms(rate[use]) < TURNING:
         return
     ratio = _slope(rate[use], measured[use])
@@ -326,6 +375,13 @@ def _spaced(time: Array, begin: float, end: float) -> Indices:
 
 def _slope(x: Array, y: Array) -> float:
     return float(np.sum(x * y) / np.sum(x * x))
+
+
+def _correlation(x: Array, y: Array) -> float:
+    """Of two series; zero where one does not vary."""
+    x, y = x - x.mean(), y - y.mean()
+    size = _rms(x) * _rms(y)
+    return float(np.mean(x * y)) / size if size > 0.0 else 0.0
 
 
 def _rms(values: Array) -> float:

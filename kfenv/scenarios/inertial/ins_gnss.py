@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from math import exp, radians, sqrt
+from math import radians, sqrt
 from typing import ClassVar
 
 import numpy as np
@@ -29,6 +29,7 @@ from kfenv.scenarios.faults import (
 )
 from kfenv.scenarios.inertial.arguments import (
     check_constraints,
+    check_corrections,
     check_fix_noise,
     check_numbers,
 )
@@ -45,6 +46,7 @@ from kfenv.scenarios.inertial.flights import exact_samples, paper_flight, random
 from kfenv.scenarios.inertial.log import InertialLog
 from kfenv.scenarios.inertial.reading import check_paths, read_log
 from kfenv.scenarios.inertial.teaching import Lessons, lessons
+from kfenv.scenarios.inertial.units import markov, of_unit
 from kfenv.scenarios.recording import Recording, stack
 from kfenv.scenarios.scenario import TrackingScenario
 from kfenv.scenarios.trajectories import MAX_DURATION
@@ -83,6 +85,8 @@ class InsGnss(TrackingScenario):
     bias_drift: tuple[float, float] = (2e-3, 2e-3)
     bias_time: tuple[float, float] = (1000.0, 1000.0)
     earth: bool = False
+    mounting: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    time_offset: float = 0.0
     constraints: Sequence[str] = ()
     constraint_noise: tuple[float, float, float] = (0.5, 0.05, 0.05)
 
@@ -140,6 +144,7 @@ class InsGnss(TrackingScenario):
     def _settle_defaults(self) -> None:
         """What a log gives, or has other defaults for than a simulation."""
         real = self.log is not None
+        check_corrections(self.mounting, self.time_offset, real)
         if real:
             object.__setattr__(self, "log", check_paths(self.log))
             object.__setattr__(self, "measurement_rate", self.rate / self._log.steps_per_fix)
@@ -190,7 +195,8 @@ class InsGnss(TrackingScenario):
 
     @property
     def _log(self) -> InertialLog:
-        return read_log(self.log, float(self.rate))
+        mounting = tuple(np.radians(self.mounting).tolist())
+        return read_log(self.log, float(self.rate), mounting, float(self.time_offset))
 
     @property
     def _lessons(self) -> Lessons:
@@ -357,15 +363,15 @@ class InsGnss(TrackingScenario):
 
     def _white(self, rng: Generator) -> Array:
         noise = rng.standard_normal((len(self.time), 6))
-        return sqrt(self.rate / SAMPLE_RATE) * _of_unit(self.imu_noise) * noise
+        return sqrt(self.rate / SAMPLE_RATE) * of_unit(self.imu_noise) * noise
 
     def _constant(self, rng: Generator) -> Array:
-        drawn, bias = rng.standard_normal(6), _of_unit(self.imu_bias)
+        drawn, bias = rng.standard_normal(6), of_unit(self.imu_bias)
         return bias if self.faults == "paper" else bias * drawn
 
     def _wandering(self, rng: Generator) -> Array:
-        unit = _markov(rng, len(self.time), 1.0 / self.rate)
-        return _of_unit(self.imu_instability) * unit
+        unit = markov(rng, len(self.time), 1.0 / self.rate, INSTABILITY_TIME)
+        return of_unit(self.imu_instability) * unit
 
 
 @lru_cache(maxsize=16)
@@ -381,18 +387,3 @@ def _motion(
     if drift is None or time is None:
         return strapdown(process)
     return strapdown_with_biases(process, (drift[0], radians(drift[1])), time, earth)
-
-
-def _of_unit(pair: tuple[float, float]) -> Array:
-    """Six numbers, SI, from m/s^2 and deg/s."""
-    return np.repeat([pair[0], radians(pair[1])], 3)
-
-
-def _markov(rng: Generator, steps: int, dt: float) -> Array:
-    """Six first-order Markov processes (T, 6) of unit deviation."""
-    from scipy.signal import lfilter
-
-    keep = exp(-dt / INSTABILITY_TIME)
-    drive = rng.standard_normal((steps, 6))
-    drive[1:] *= sqrt(1.0 - keep * keep)
-    return lfilter([1.0], [1.0, -keep], drive, axis=0)

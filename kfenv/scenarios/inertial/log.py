@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from kfenv.models.strapdown import GRAVITY
 from kfenv.models.strapdown_biases import local_gravity
-from kfenv.scenarios.inertial.files import MOVING, FixLog, ImuLog
+from kfenv.scenarios.inertial.files import FixLog, ImuLog
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -83,11 +83,11 @@ class InertialLog:
             ValueError: if the vehicle never moves fast enough.
         """
         speed = np.hypot(*self.fixes.velocity[self.used, :2].T)
-        moving = np.flatnonzero((speed > MOVING) & (self.row >= ALIGNMENT * self.rate))
+        moving = np.flatnonzero((speed > self.fixes.moving) & (self.row >= ALIGNMENT * self.rate))
         if not len(moving):
             raise ValueError(
-                f"{self.fixes.path}: the vehicle never moves faster than {MOVING:g} m/s, which "
-                "its yaw is aligned by."
+                f"{self.fixes.path}: the vehicle never moves faster than {self.fixes.moving:.3g} "
+                "m/s, which its yaw is aligned by."
             )
         return int(moving[0])
 

@@ -6,14 +6,16 @@ what to correct; None where the drive does not tell.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kfenv.checks import gathered
 from kfenv.models.rotations import matrix_from_angles
 from kfenv.models.strapdown_biases import local_gravity
-from kfenv.scenarios.inertial.files import MOVING, TURNING, FixLog, ImuLog
+from kfenv.scenarios.inertial.files import TURNING, FixLog, ImuLog
 from kfenv.scenarios.inertial.log import level
 
 Array = NDArray[np.float64]
@@ -22,8 +24,15 @@ Indices = NDArray[np.int64]
 LARGEST_OFFSET, OFFSET_STEP = 25.0, 0.1  # s
 TURN_SPAN, FORCE_SPAN = 1.0, 2.0  # s over which turns and forces are compared
 ENOUGH = 20  # spans
-EXPLAINED = 0.5  # of the fixes' turns or accelerations: with less the files tell nothing
-STANDS, STANDSTILL = 0.2, 3.0  # m/s, s
+# Shares of the fixes' turns and accelerations that the unit must explain to tell anything;
+# of a flight's turns, which are banked and would look late, it explains less
+EXPLAINED_TURNS, EXPLAINED = 0.92, 0.6
+STANDSTILL = 3.0  # s
+# What is complained of, if it is as many deviations
+CERTAIN = 5.0
+MOST_OFFSET = 0.75  # s; what banks are left make turns look late by half a second
+MOST_TURNED = np.radians(15.0)
+MOST_FORCE, MOST_RATE = 0.05, np.radians(3.0)  # share of gravity; rad/s
 
 
 class Estimate(NamedTuple):
@@ -91,7 +100,7 @@ def clock_offset(imu: ImuLog, fixes: FixLog) -> Estimate | None:
     )
     left = np.array([unexplained(offset) for offset in offsets])
     best = int(np.argmin(left))
-    if left[best] > (1.0 - EXPLAINED) * np.var(turned) or best in (0, len(left) - 1):
+    if left[best] > (1.0 - EXPLAINED_TURNS) * np.var(turned) or best in (0, len(left) - 1):
         return None
     below, least, above = left[best - 1 : best + 2]
     bend = (below - 2.0 * least + above) / OFFSET_STEP**2
@@ -133,9 +142,8 @@ def mounting(imu: ImuLog, fixes: FixLog) -> Mounting | None:
 
 def at_rest(imu: ImuLog, fixes: FixLog) -> Rest | None:
     """What the unit measures while the fixes say that the vehicle stands."""
-    speed = np.linalg.norm(fixes.velocity, axis=1)
     inside = (fixes.time[:-1] >= imu.time[0]) & (fixes.time[1:] <= imu.time[-1])
-    still = inside & (speed[:-1] < STANDS) & (speed[1:] < STANDS)
+    still = inside & fixes.stands[:-1] & fixes.stands[1:]
     steps = np.diff(fixes.time)
     still &= steps < 2.0 * fixes.interval
     duration = float(steps[still].sum())
@@ -147,6 +155,73 @@ def at_rest(imu: ImuLog, fixes: FixLog) -> Rest | None:
     return Rest(duration, mean[3:], float(np.linalg.norm(mean[:3])), gravity)
 
 
+def clocks_apart(imu: ImuLog, fixes: FixLog) -> Estimate | None:
+    """The offset of the clocks where it is large beyond doubt, otherwise None."""
+    offset = clock_offset(imu, fixes)
+    return offset if offset is not None and _is_more(offset, MOST_OFFSET) else None
+
+
+def complain_of_clocks(imu: ImuLog, fixes: FixLog, offset: Estimate) -> None:
+    """Refuse files whose clocks are apart.
+
+    Raises:
+        ValueError: naming the file, the offset, and the argument that corrects it.
+    """
+    raise ValueError(
+        f"{imu.path}: by the turns its clock is {offset.value:.2f} s (+- {offset.deviation:.2f}) "
+        f"ahead of the fixes': give time_offset={-offset.value:.2f}, which is added to it."
+    )
+
+
+def check_measured(imu: ImuLog, fixes: FixLog) -> None:
+    """Complain of a unit turned in its vehicle, and of units wrong at rest.
+
+    Raises:
+        ValueError: naming the file, what was measured, and the argument that corrects it.
+    """
+    gathered(partial(_complain_of_mounting, imu, fixes), partial(_complain_of_rest, imu, fixes))
+
+
+def _complain_of_mounting(imu: ImuLog, fixes: FixLog) -> None:
+    found = mounting(imu, fixes)
+    if found is None:
+        return
+    if found.mirrored:
+        raise ValueError(
+            f"{imu.path}: fx and fy fit the accelerations of the fixes only as in a mirror: "
+            f"{found.mirrored}; give the axes forward, right, down."
+        )
+    if any(_is_more(angle, MOST_TURNED) for angle in found[:3]):
+        told = [f"{np.degrees(a.value):.1f} (+- {np.degrees(a.deviation):.1f})" for a in found[:3]]
+        give = ",".join(f"{np.degrees(angle.value):.1f}" for angle in found[:3])
+        raise ValueError(
+            f"{imu.path}: by the accelerations the unit sits in the vehicle with roll {told[0]}, "
+            f"pitch {told[1]}, yaw {told[2]} deg: give mounting=[{give}]."
+        )
+
+
+def _complain_of_rest(imu: ImuLog, fixes: FixLog) -> None:
+    rest = at_rest(imu, fixes)
+    if rest is None:
+        return
+    if abs(rest.force / rest.gravity - 1.0) > MOST_FORCE:
+        raise ValueError(
+            f"{imu.path}: at rest the specific force is {rest.force:.4g} m/s^2 and gravity "
+            f"{rest.gravity:.4g}: check the unit and scale of fx, fy, fz."
+        )
+    if np.linalg.norm(rest.rate) > MOST_RATE:
+        told = ", ".join(f"{rate:.3g}" for rate in np.degrees(rest.rate))
+        raise ValueError(
+            f"{imu.path}: at rest the angular rates are ({told}) deg/s, more than any bias: check "
+            "the unit of wx, wy, wz."
+        )
+
+
+def _is_more(estimate: Estimate, limit: float) -> bool:
+    """Whether it is, beyond doubt."""
+    return abs(estimate.value) > max(limit, CERTAIN * estimate.deviation)
+
+
 def _spans(fixes: FixLog, span: float) -> tuple[Indices, Indices]:
     """First and last fixes of stretches of about that length in which the vehicle moves."""
     chosen = [0]
@@ -156,7 +231,7 @@ def _spans(fixes: FixLog, span: float) -> tuple[Indices, Indices]:
     first, last = np.array(chosen[:-1], np.int64), np.array(chosen[1:], np.int64)
     speed = np.hypot(*fixes.velocity[:, :2].T)
     short = fixes.time[last] - fixes.time[first] <= 2.0 * max(span, fixes.interval)
-    use = short & (np.minimum(speed[first], speed[last]) > MOVING)
+    use = short & (np.minimum(speed[first], speed[last]) > fixes.moving)
     return first[use], last[use]
 
 

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from kfenv.models.namespaces import batch
 from kfenv.models.strapdown import strapdown
-from kfenv.scenarios.inertial.files import MOVING
 from kfenv.scenarios.inertial.log import InertialLog
 
 Array = NDArray[np.float64]
@@ -55,7 +54,7 @@ def _stretches(log: InertialLog) -> tuple[Indices, Indices]:
     begin = np.flatnonzero((row >= margin) & (row + whole < len(log.time) - margin))
     end = np.searchsorted(row, row[begin] + whole, side="right") - 1
     full = row[end] - row[begin] > 0.75 * whole
-    moving = np.linalg.norm(log.fixes.velocity[log.used[begin], :2], axis=1) > MOVING
+    moving = np.linalg.norm(log.fixes.velocity[log.used[begin], :2], axis=1) > log.fixes.moving
     angle = log.imu.integral(log.time)[:, 3:]
     turned = np.linalg.norm(angle[row[end]] - angle[row[begin]], axis=1) > TURNED
     use = np.flatnonzero(full & moving & turned)

@@ -4,24 +4,33 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from functools import lru_cache
+from dataclasses import replace
+from functools import lru_cache, partial
 
 import numpy as np
 
+from kfenv.checks import gathered
 from kfenv.scenarios.inertial.files import (
     FixLog,
+    ImuLog,
     check_together,
     check_truth,
     read_fixes,
     read_imu,
 )
 from kfenv.scenarios.inertial.log import InertialLog
+from kfenv.scenarios.inertial.measured import check_measured, clocks_apart, complain_of_clocks
 from kfenv.scenarios.inertial.mounting import check_mounting
 
 MAX_DRIFT = 0.02  # instants from one fix to the next
 
 
-def read_log(paths: tuple[str, ...], rate: float) -> InertialLog:
+def read_log(
+    paths: tuple[str, ...],
+    rate: float,
+    mounting: tuple[float, ...] = (0.0, 0.0, 0.0),
+    time_offset: float = 0.0,
+) -> InertialLog:
     """Read and check an inertial file, a GNSS file and perhaps one with the truth.
 
     What was read is kept for the next call, until a file changes.
@@ -29,29 +38,37 @@ def read_log(paths: tuple[str, ...], rate: float) -> InertialLog:
     Args:
         paths: of the two or three files.
         rate: instants per second.
+        mounting, time_offset: see `kfenv.scenarios.inertial.files.read_imu`.
 
     Raises:
         FileNotFoundError: if a file is not there.
         ValueError: naming the file, what is wrong with it, and the remedy.
     """
     stamps = tuple(os.stat(path).st_mtime_ns if os.path.exists(path) else 0 for path in paths)
-    return _read(paths, rate, stamps)
+    return _read(paths, rate, tuple(mounting), time_offset, stamps)
 
 
 @lru_cache(maxsize=8)
-def _read(paths: tuple[str, ...], rate: float, stamps: tuple[int, ...]) -> InertialLog:
-    imu, fixes = read_imu(paths[0]), read_fixes(paths[1])
-    truth = read_fixes(paths[2], truth=True) if len(paths) > 2 else None
-    check_together(imu, fixes)
-    if truth is not None:
-        check_truth(truth, imu, fixes)
-    own = 1.0 / float(np.median(np.diff(imu.time)))
-    if own < 0.9 * rate:
-        raise ValueError(
-            f"{imu.path} has {own:.4g} samples per second, but rate={rate:g}: set rate to "
-            f"{np.floor(own):g} or less."
-        )
-    _check_period(fixes, rate)
+def _read(
+    paths: tuple[str, ...], rate: float, mounting: tuple[float, ...], time_offset: float,
+    stamps: tuple[int, ...],
+) -> InertialLog:  # fmt: skip
+    imu, fixes, *more = gathered(
+        partial(read_imu, paths[0], mounting, time_offset),
+        partial(read_fixes, paths[1]),
+        *(partial(read_fixes, path, truth=True) for path in paths[2:]),
+    )
+    truth = more[0] if more else None
+    apart = clocks_apart(imu, fixes)
+    aligned = imu if apart is None else replace(imu, time=imu.time - apart.value)
+    gathered(
+        *([partial(complain_of_clocks, imu, fixes, apart)] if apart is not None else ()),
+        partial(check_together, aligned, fixes),
+        partial(check_measured, aligned, fixes),
+        *(partial(check_truth, known, imu, fixes) for known in more),
+        partial(_check_rate, imu, rate),
+        partial(_check_period, fixes, rate),
+    )
     begin, end = max(imu.time[0], fixes.time[0]), min(imu.time[-1], fixes.time[-1])
     if truth is not None:
         begin, end = max(begin, truth.time[0]), min(end, truth.time[-1])
@@ -65,6 +82,15 @@ def _read(paths: tuple[str, ...], rate: float, stamps: tuple[int, ...]) -> Inert
     log = InertialLog(imu, fixes, truth, rate, time, samples, used, row[used])
     check_mounting(log)
     return log
+
+
+def _check_rate(imu: ImuLog, rate: float) -> None:
+    own = 1.0 / float(np.median(np.diff(imu.time)))
+    if own < 0.9 * rate:
+        raise ValueError(
+            f"{imu.path} has {own:.4g} samples per second, but rate={rate:g}: set rate to "
+            f"{np.floor(own):g} or less."
+        )
 
 
 def _check_period(fixes: FixLog, rate: float) -> None:
