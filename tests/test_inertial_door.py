@@ -204,6 +204,35 @@ def test_a_walker_is_fast_enough(tmp_path):
     assert fixes.moving == pytest.approx(1.41, abs=0.01)  # by deviations of 0.1 m/s
 
 
+POS_HEADER = (
+    "% program   : RTKPOST\n%  GPST                  latitude(deg) longitude(deg)  height(m)"
+    "   Q  ns   sdn(m)   sde(m)   sdu(m)  sdne(m)  sdeu(m)  sdun(m) age(s)  ratio    vn(m/s)"
+    "    ve(m/s)    vu(m/s)      sdvn     sdve     sdvu    sdvne    sdveu    sdvun\n"
+)
+
+
+def solution(gnss, header=POS_HEADER):
+    """RTKLIB's lines, by week and seconds."""
+    lines = [
+        f"2100 {t:.4f} {lat:.10f} {lon:.10f} {h:.4f} 1 9 {sn} {se} {sd} 0 0 0 0.0 0.0 "
+        f"{vn:.5f} {ve:.5f} {-vd:.5f} {svn} {sve} {svd} 0 0 0"
+        for t, lat, lon, h, vn, ve, vd, sn, se, sd, svn, sve, svd in gnss
+    ]
+    return header + "\n".join(lines)
+
+
+def test_fixes_of_rtklib(level, tmp_path):
+    imu, gnss, _ = level.write(tmp_path)
+    pos = tmp_path / "fixes.pos"
+    pos.write_text(solution(level.gnss))
+    told, fixes = read_fixes(pos), read_fixes(gnss)
+    for name in ("time", "place", "velocity", "deviation"):
+        np.testing.assert_allclose(getattr(told, name), getattr(fixes, name), atol=1e-4)
+    assert read_log((imu, str(pos)), RATE).steps_per_fix == 4
+    pos.write_text(solution(level.gnss, POS_HEADER.replace("vu(m/s)", "vx(m/s)")))
+    assert "out-outvel=on" in complaint(ValueError, read_fixes, pos)
+
+
 def test_the_command_tells_what_is_measured(level, tmp_path):
     paths = changed(level, later(1.0), tmp_path)
     told = CliRunner().invoke(app, ["inspect", *paths])

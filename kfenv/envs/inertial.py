@@ -75,17 +75,17 @@ class InsGnssEnv(TrackingEnv):
       position (m), velocity (m/s) and attitude (deg): standard deviations after a second,
       default {scenario.process_noise}, the paper's table; of a log {module.UNIT_NOISE}, which
       suits a small unit on a car.
-    - ``log``: paths of CSV files to run on, ``(IMU, GNSS)`` or ``(IMU, GNSS, TRUTH)``, one
-      clock, columns by name (`kfenv.scenarios.inertial.files`). IMU: ``t`` s, ``fx, fy, fz``
-      m/s^2, ``wx, wy, wz`` rad/s, axes forward, right, down. GNSS: ``t, lat, lon`` deg,
-      ``height`` m, ``vn, ve, vd`` m/s and the deviations ``sd_n, sd_e, sd_d, sd_vn, sd_ve,
-      sd_vd``. TRUTH: the first seven of these. Samples are averaged to ``rate``; the fixes
-      set ``measurement_rate``; ``process_noise`` should suit the unit. Episodes are windows
-      of the log's first 30 %; contests tune there too, validate on the next 20 % and test on
-      the rest. No seed changes their windows: each ends with an outage of
-      {module.OUTAGE:g} s (three fifths of ``duration`` at most), and where agents are validated or
-      tested these tile the part. With other ``faults`` such windows do not overlap, and agents
-      are tuned on drawn ones.
+    - ``log``: paths of CSV files to run on, ``(IMU, GNSS)`` or ``(IMU, GNSS, TRUTH)``, one clock,
+      columns by name (`kfenv.scenarios.inertial.files`). IMU: ``t`` s, ``fx, fy, fz`` m/s^2,
+      ``wx, wy, wz`` rad/s, axes forward, right, down. GNSS: ``t, lat, lon`` deg, ``height`` m,
+      ``vn, ve, vd`` m/s and the deviations ``sd_n, sd_e, sd_d, sd_vn, sd_ve, sd_vd``, or RTKLIB's
+      ``.pos`` with velocities. TRUTH: the first seven of these. Samples are averaged to ``rate``;
+      the fixes set ``measurement_rate``; ``process_noise`` should suit the unit. Episodes are
+      windows of the log's first 30 %; contests tune there too, validate on the next 20 % and test
+      on the rest. No seed changes their windows: each ends with an outage of {module.OUTAGE:g} s
+      (three fifths of ``duration`` at most), and where agents are validated or tested these tile
+      the part. With other ``faults`` such windows do not overlap, and agents are tuned on drawn
+      ones.
     - ``biases``: whether the state holds the biases of accelerometers and gyroscopes too, 15
       in all. Default: with a ``log`` yes, otherwise no.
     - ``bias_drift``: what the filter believes of them: standard deviations that white noise

@@ -79,16 +79,32 @@ def _read_csv(path: str | PathLike[str]) -> Positions:
 
 
 def _read_pos(path: str | PathLike[str]) -> Positions:
+    columns, values = read_solution(path)
+    llh = columns[1:4] == LLH.split()
+    deviation = None
+    if llh and all(name in columns for name in DEVIATIONS):
+        deviation = values[:, [columns.index(name) for name in DEVIATIONS]]
+    quality = values[:, columns.index("Q")].astype(np.int64) if "Q" in columns else None
+    position = _earth_fixed(*values[:, 1:4].T) if llh else values[:, 1:4]
+    return Positions(str(path), values[:, 0], position, deviation, quality)
+
+
+def read_solution(path: str | PathLike[str]) -> tuple[list[str], Array]:
+    """The columns of an RTKLIB solution file and their values (N, k), the time in GPS seconds.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if it is none, or of another clock; the message names it.
+    """
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"there is no solution file {path}.")
     lines = Path(path).read_bytes().decode("latin-1").splitlines()
     names = next((line for line in reversed(lines) if line.startswith("%") and "(" in line), "")
     columns = names.removeprefix("%").split()
     for wrong, remedy in (("UTC", "GPST"), ("JST", "GPST")):
         if columns[:1] == [wrong]:
             raise ValueError(f"{path} has {wrong} times; have RTKLIB write {remedy} ones.")
-    llh = columns[1:4] == ["latitude(deg)", "longitude(deg)", "height(m)"]
-    if columns[:1] != ["GPST"] or not (
-        llh or columns[1:4] == ["x-ecef(m)", "y-ecef(m)", "z-ecef(m)"]
-    ):
+    if columns[:1] != ["GPST"] or columns[1:4] not in (LLH.split(), XYZ.split()):
         raise ValueError(
             f"{path} is no RTKLIB solution file of GPST times with latitude, longitude and height "
             f"in degrees, or x, y and z: its columns are {' '.join(columns) or 'not told'}."
@@ -97,13 +113,7 @@ def _read_pos(path: str | PathLike[str]) -> Positions:
         (n, line.split()) for n, line in enumerate(lines, 1) if line.strip(" %") and line[0] != "%"
     ]
     values = np.array([_pos_row(path, n, fields, len(columns) + 1) for n, fields in rows])
-    values = values.reshape(-1, len(columns))
-    deviation = None
-    if llh and all(name in columns for name in DEVIATIONS):
-        deviation = values[:, [columns.index(name) for name in DEVIATIONS]]
-    quality = values[:, columns.index("Q")].astype(np.int64) if "Q" in columns else None
-    position = _earth_fixed(*values[:, 1:4].T) if llh else values[:, 1:4]
-    return Positions(str(path), values[:, 0], position, deviation, quality)
+    return columns, values.reshape(-1, len(columns))
 
 
 def _pos_row(path: str | PathLike[str], number: int, fields: list[str], count: int) -> list[float]:

@@ -5,7 +5,8 @@ wz`` (angular rate, rad/s) along forward, right and down; a sample stands for th
 that ends at its time. A GNSS file has ``t`` (s, the same clock), ``lat, lon`` (deg), ``height``
 (m above the ellipsoid), ``vn, ve, vd`` (m/s, north, east, down) and the standard deviations
 ``sd_n, sd_e, sd_d`` (m) and ``sd_vn, sd_ve, sd_vd`` (m/s). A file with the truth has the first
-seven of these. Further columns are ignored.
+seven of these. Further columns are ignored. Fixes or truth in a file that ends in ``.pos`` are
+RTKLIB's solution, with velocities; its times then are seconds of the GPS week that it begins in.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from os import PathLike
+from pathlib import Path as FilePath
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +24,7 @@ from kfenv.checks import gathered
 from kfenv.models.rotations import matrix_from_angles
 from kfenv.models.strapdown import GRAVITY
 from kfenv.scenarios.columns import read_columns
+from kfenv.scenarios.inertial.solutions import read_fix_columns
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -137,7 +140,10 @@ def read_fixes(path: Path, truth: bool = False) -> FixLog:
         ValueError: naming the file, the column that is wrong, and the remedy.
     """
     names = TRUTH_COLUMNS if truth else GNSS_COLUMNS
-    columns = np.array(read_columns(path, "truth" if truth else "GNSS log", names))
+    if FilePath(path).suffix.lower() == ".pos":
+        columns = read_fix_columns(path)[: len(names)]
+    else:
+        columns = np.array(read_columns(path, "truth" if truth else "GNSS log", names))
     _check_rows(str(path), columns, names)
     time = _unrolled(columns[0])
     log = FixLog(str(path), time, columns[1:4].T, columns[4:7].T, columns[7:].T)
