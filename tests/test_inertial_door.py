@@ -233,6 +233,13 @@ def test_fixes_of_rtklib(level, tmp_path):
     assert "out-outvel=on" in complaint(ValueError, read_fixes, pos)
 
 
+def test_a_file_without_a_header(level, tmp_path):
+    path = tmp_path / "bare.csv"
+    np.savetxt(path, level.imu, "%.9g", ",")
+    said = complaint(ValueError, read_imu, path)
+    assert said.endswith("holds numbers, no names: put t,fx,fy,fz,wx,wy,wz above it.")
+
+
 def test_the_command_tells_what_is_measured(level, tmp_path):
     paths = changed(level, later(1.0), tmp_path)
     told = CliRunner().invoke(app, ["inspect", *paths])

@@ -76,6 +76,8 @@ def _read(rows, what: str, columns: Sequence[str]) -> list[Array]:
 
 
 def _missing(what: str, columns: Sequence[str], column: str, header: list[str]) -> str:
+    if header and all(map(_is_numeric, header)):
+        return f"the first line holds numbers, no names: put {','.join(columns)} above it."
     close = get_close_matches(column, header, n=1, cutoff=0.4)
     hint = f"; rename {close[0]!r} if that is it" if close else ""
     found = ", ".join(header) if header else "nothing"
@@ -84,6 +86,14 @@ def _missing(what: str, columns: Sequence[str], column: str, header: list[str]) 
         f"column {column!r} is missing{hint}. {article} {what} has {', '.join(columns)}; "
         f"found {found}."
     )
+
+
+def _is_numeric(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _number(row: list[str], place: int, column: str, line: int) -> float:
