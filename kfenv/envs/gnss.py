@@ -85,8 +85,8 @@ class GnssTrackingEnv(TrackingEnv):
     - ``troposphere``: share of the standard tropospheric delay that they leave, -1 to 1
       (default {scenario.troposphere:g}). The filter is not told.
     - ``track``: {track_file}: a random window of it, where it was flown.
-    - ``cutoff``: period of motion that smoothing the flight halves, s (default
-      {scenario.cutoff:g}).
+    - ``cutoff``: period of motion that smoothing the flight halves, s (default 25, or less
+      where the aircraft turns too fast for that).
     - ``longest_gap``: between two of its reports that an episode may bridge, s (default
       {scenario.longest_gap:g}; in cruise reports may lie a minute apart).
     - ``rinex``: paths of a RINEX 2 or 3 observation file and its navigation file, in place of

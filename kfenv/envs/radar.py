@@ -62,8 +62,8 @@ class RadarTrackingEnv(TrackingEnv):
     - ``track``: {track_file}: by default a random window of it, placed at random before the
       radar.
     - ``radar_position``: {radar_position}
-    - ``cutoff``: period of motion that smoothing the flight halves, s (default
-      {scenario.cutoff:g}).
+    - ``cutoff``: period of motion that smoothing the flight halves, s (default 25, or less
+      where the aircraft turns too fast for that).
     - ``longest_gap``: between two of its reports that an episode may bridge, s (default
       {scenario.longest_gap:g}; in cruise reports may lie a minute apart).
     - ``altitude_offset``: added to its height, m: negative for a flight that is too high for
@@ -138,8 +138,8 @@ class RadarValidationEnv(TrackingEnv):
     - ``track``: {track_file}: by default a random window of it, placed at random before the
       radar.
     - ``radar_position``: {radar_position}
-    - ``cutoff``: period of motion that smoothing the flight halves, s (default
-      {scenario.cutoff:g}).
+    - ``cutoff``: period of motion that smoothing the flight halves, s (default 25, or less
+      where the aircraft turns too fast for that).
     - ``longest_gap``: between two of its reports that an episode may bridge, s (default
       {scenario.longest_gap:g}; in cruise reports may lie a minute apart).
     - ``altitude_offset``: added to its height, m: negative for a flight that is too high for

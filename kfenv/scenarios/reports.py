@@ -20,8 +20,8 @@ Site = tuple[float, float, float]  # latitude and longitude in degrees, height i
 COLUMNS = ("t", "lat", "lon", "alt_m")
 FEET, FOOT = "alt_ft", 0.3048
 MIN_REPORTS = 10
-MAX_LATE = 60.0  # s by which a row may come out of order
-HIGHEST = 20_000.0  # m
+MAX_LATE = 43_200.0  # s by which a row may come out of order: a day that began anew falls more
+HIGHEST, FEW_HIGHER = 20_000.0, 0.1  # m, and the share of reports that may be wrong about it
 QUANTUM, MANY = 25.0, 20  # ft, of a transponder's altitudes; so many different ones are no chance
 UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 SLOWEST, FASTEST = 10.0, 1000.0  # m/s, of an aircraft whose times are right
@@ -41,7 +41,7 @@ class Track:
 
     Raises:
         ValueError: if the columns differ in length, hold a value that is no number or
-            no place on Earth, have fewer than 10 rows, times fall by more than a minute, or
+            no place on Earth, have fewer than 10 rows, times fall by half a day, or
             times or altitudes are in other units.
     """
 
@@ -72,7 +72,7 @@ class Track:
             )
 
     def _check_feet(self) -> None:
-        highest = float(self.altitude.max())
+        highest = float(np.quantile(self.altitude, 1.0 - FEW_HIGHER))
         stepped = (self.altitude % QUANTUM == 0.0).all() and np.unique(self.altitude).size >= MANY
         if stepped or highest > HIGHEST:
             why = "is always a multiple of 25" if stepped else f"reaches {highest:g} m"

@@ -80,17 +80,41 @@ def _local_median(values: Array, count: int) -> Array:
     return median_filter(values, size=count, mode="nearest")
 
 
+def too_stiff(time: Array, position: Array, spline: CubicSpline, kept: Mask) -> float:
+    """Return the share of reports that were left out though they lie on their neighbours' way.
+
+    A late report lies off its neighbours; those of a turn that the cutoff is too long for do not.
+    """
+    away = np.linalg.norm(position - spline(time), axis=1)
+    off, _ = _off_neighbours(time, position)
+    return float(np.mean(~kept & (np.linalg.norm(off, axis=1) < 0.5 * away)))
+
+
 def _time_error(time: Array, position: Array) -> float:
-    """Deviation of the reports' times, s: how far each lies along from between its neighbours."""
-    before, after = np.diff(time)[:-1], np.diff(time)[1:]
-    share = (before / (before + after))[:, None]
-    chord = position[2:] - position[:-2]
-    speed = np.linalg.norm(chord, axis=1) / (before + after)
-    away = position[1:-1] - (1.0 - share) * position[:-2] - share * position[2:]
-    seconds = np.sum(away * chord, axis=1) / np.maximum(np.sum(chord * chord, axis=1), 1e-9)
-    seconds *= (before + after) / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)[:, 0]
-    fast = speed > SLOW
+    """Deviation of the reports' times, s, from how far along each lies off its neighbours."""
+    off, gain = _off_neighbours(time, position)
+    chord = np.gradient(position, axis=0)
+    passed = np.gradient(time)
+    length = np.maximum(np.linalg.norm(chord, axis=1), 1e-9)
+    seconds = np.sum(off * chord, axis=1) / length**2 * passed / gain
+    fast = (length > SLOW * passed) & np.isfinite(seconds)
     return NORMAL * float(np.median(np.abs(seconds[fast]))) if fast.any() else 0.0
+
+
+def _off_neighbours(time: Array, position: Array) -> tuple[Array, Array]:
+    """From the cubic through the two reports before and the two after to each report (N, 3), m.
+
+    And how much of independent errors adds up in that (N,); NaN at the two first and last.
+    """
+    around = np.arange(2, time.size - 2)[:, None] + (-2, -1, 1, 2)
+    since = time[around] - time[2:-2, None]
+    apart = since[:, :, None] - since[:, None, :] + np.eye(4)
+    others = np.where(np.eye(4, dtype=bool), 1.0, -since[:, None, :])
+    weight = np.prod(others / apart, axis=2)
+    off, gain = np.full(position.shape, np.nan), np.full(time.size, np.nan)
+    off[2:-2] = position[2:-2] - np.sum(weight[:, :, None] * position[around], axis=1)
+    gain[2:-2] = np.sqrt(1.0 + np.sum(weight**2, axis=1))
+    return off, gain
 
 
 def _spline(time: Array, position: Array, covariance: Array, cutoff: float) -> CubicSpline:

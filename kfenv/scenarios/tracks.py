@@ -22,14 +22,17 @@ from numpy.typing import ArrayLike, NDArray
 from kfenv.checks import is_number
 from kfenv.scenarios.coverage import CHECK_STEP, Placement, check_time, place, turn
 from kfenv.scenarios.reports import Site, Track, check_degrees, load_track, tidied
-from kfenv.scenarios.smoothing import robust_spline
+from kfenv.scenarios.smoothing import robust_spline, too_stiff
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
-CUTOFF = 25.0  # s; see smooth_track
+CUTOFFS = (25.0, 12.5, 6.25, 3.125)  # s; see smooth_track
+MAX_TOO_STIFF = 0.01  # share of the reports
+HARDEST = 20.0  # m/s^2: who needs more of a shorter cutoff follows reports that are wrong
 LONGEST_GAP = 10.0  # s
 LATE, ASTRAY = 10.0, 2_000.0  # s and m that a late report may lie off; beyond it is another's
 MAX_ASTRAY, MAX_REJECTED = 0.05, 0.3  # shares of the reports
@@ -113,7 +116,7 @@ class SmoothTrack:
 
 
 def flight(
-    path: str | PathLike[str], cutoff: float = CUTOFF, longest_gap: float = LONGEST_GAP
+    path: str | PathLike[str], cutoff: float | None = None, longest_gap: float = LONGEST_GAP
 ) -> SmoothTrack:
     """Read and smooth the flight in a track file, anew when the file has changed.
 
@@ -140,18 +143,20 @@ def check_track(scenario: Any, only_beside_it: Sequence[str]) -> None:
             continue
         if path is None and value != item.default:
             raise ValueError(f"{item.name} goes with a real flight: give a track too.")
-        if isinstance(item.default, float) and not is_number(value):
+        if item.name != "radar_position" and not is_number(value):
             raise ValueError(f"{item.name} must be a number, got {value!r}.")
 
 
 @lru_cache(maxsize=16)
-def _smoothed(path: Path, cutoff: float, longest_gap: float, state: tuple[int, ...]) -> SmoothTrack:
+def _smoothed(
+    path: Path, cutoff: float | None, longest_gap: float, state: tuple[int, ...]
+) -> SmoothTrack:
     return smooth_track(load_track(path), cutoff, longest_gap=longest_gap)
 
 
 def smooth_track(
     track: Track,
-    cutoff: float = CUTOFF,
+    cutoff: float | None = None,
     origin: Site | None = None,
     longest_gap: float = LONGEST_GAP,
 ) -> SmoothTrack:
@@ -162,13 +167,15 @@ def smooth_track(
     Reports further from the spline than five times what those around them show (and 30 m)
     are left out.
 
-    On three airliners' flights the default of 25 s holds speed within 1.5 m/s rms of the
-    reported ground speed and acceleration below 0.7 g and keeps turns (up to 3.4 deg/s).
+    On three airliners' flights a cutoff of 25 s holds speed within 1.5 m/s rms of the
+    reported ground speed and acceleration below 0.7 g and keeps turns (up to 3.4 deg/s). A
+    smaller aircraft turns faster: by default the cutoff is halved, down to 3 s, until it leaves
+    out at most 1 % of the reports that lie on their neighbours' way, or would need 2 g.
     In the first and last half cutoff acceleration fades to zero at the flight's ends.
 
     Args:
         track: the reports.
-        cutoff: period at which the gain is a half, s.
+        cutoff: period at which the gain is a half, s; None for the default.
         origin: of the local frame, latitude and longitude in degrees and height in m;
             by default the flight's middle report.
         longest_gap: between two reports that windows may bridge, s.
@@ -186,14 +193,15 @@ def smooth_track(
         )
     time, position, stale = tidied(track, origin)
     duration = time[-1] - time[0]
-    if not 0.0 < cutoff <= duration:
+    if cutoff is not None and not 0.0 < cutoff <= duration:
         raise ValueError(
             f"cutoff must be positive and at most the flight's {duration:g} s, got {cutoff!r} s."
         )
     if not longest_gap > 0.0:
         raise ValueError(f"longest_gap must be positive, got {longest_gap!r} s.")
-    spline, kept = robust_spline(time - time[0], position, cutoff)
-    _check_rejected(track.path, spline, time - time[0], position, kept, cutoff)
+    since = time - time[0]
+    cutoff, spline, kept = _fitted(since, position, CUTOFFS if cutoff is None else (cutoff,))
+    _check_rejected(track.path, spline, since, position, kept, cutoff)
     begin = time[kept][0] - time[0]
     spline.x -= begin
     wide = np.flatnonzero(np.diff(spline.x) > longest_gap)
@@ -206,6 +214,21 @@ def smooth_track(
         path=track.path,
         _spline=spline,
     )
+
+
+def _fitted(
+    time: Array, position: Array, cutoffs: Sequence[float]
+) -> tuple[float, CubicSpline, Mask]:
+    """The first of the cutoffs that leaves enough in, or the last that flies like an aircraft."""
+    best = None
+    for cutoff in cutoffs:
+        spline, kept = robust_spline(time, position, cutoff)
+        if best is not None and np.linalg.norm(spline(spline.x, 2), axis=1).max() > HARDEST:
+            break
+        best = cutoff, spline, kept
+        if too_stiff(time, position, spline, kept) <= MAX_TOO_STIFF:
+            break
+    return best
 
 
 def _check_rejected(path: str, spline, time: Array, position: Array, kept, cutoff: float) -> None:

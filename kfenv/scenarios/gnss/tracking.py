@@ -43,7 +43,7 @@ from kfenv.scenarios.gnss.reading import log_of
 from kfenv.scenarios.gnss.satellite_channels import assign_channels, by_channel
 from kfenv.scenarios.recording import Recording
 from kfenv.scenarios.scenario import TrackingScenario
-from kfenv.scenarios.tracks import CUTOFF, LONGEST_GAP, SmoothTrack, check_track, from_radar
+from kfenv.scenarios.tracks import LONGEST_GAP, SmoothTrack, check_track, from_radar
 from kfenv.scenarios.trajectories import MAX_DURATION, paper_trajectory, random_trajectory
 
 Array = NDArray[np.float64]
@@ -95,7 +95,7 @@ class GnssTracking(TrackingScenario):
     ionosphere: float = 0.0
     troposphere: float = 0.0
     track: str | None = None
-    cutoff: float = CUTOFF
+    cutoff: float | None = None
     longest_gap: float = LONGEST_GAP
     rinex: Sequence[str] | None = None
     moving: bool = False

@@ -19,7 +19,7 @@ from kfenv.models.radar import radar
 from kfenv.scenarios import tracks
 from kfenv.scenarios.faults import Draft, Range, check_range, check_start
 from kfenv.scenarios.scenario import TrackingScenario
-from kfenv.scenarios.tracks import CUTOFF, LONGEST_GAP, check_track
+from kfenv.scenarios.tracks import LONGEST_GAP, check_track
 from kfenv.scenarios.trajectories import paper_trajectory
 
 Array = NDArray[np.float64]
@@ -111,7 +111,7 @@ class RadarScenario(TrackingScenario):
 
     track: str | None = None
     radar_position: tuple[float, float, float] | None = None
-    cutoff: float = CUTOFF
+    cutoff: float | None = None
     longest_gap: float = LONGEST_GAP
     altitude_offset: float = 0.0
 
