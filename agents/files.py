@@ -8,6 +8,7 @@ import platform
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from math import isfinite
 from pathlib import Path
 from typing import Any, BinaryIO, TextIO, TypeVar
 
@@ -36,9 +37,18 @@ def written_whole(path: Path) -> Iterator[BinaryIO]:
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write `content` as readable JSON, whole or not at all."""
+    """Write `content` as readable JSON, whole or not at all; what is no number becomes null."""
     with written_whole(path) as file:
-        file.write((json.dumps(content, indent=2) + "\n").encode())
+        file.write((json.dumps(_valid(content), indent=2, allow_nan=False) + "\n").encode())
+
+
+def _valid(content: Any) -> Any:
+    """The same with None in place of NaN and infinities, which JSON does not have."""
+    if isinstance(content, dict):
+        return {key: _valid(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_valid(value) for value in content]
+    return None if isinstance(content, float) and not isfinite(content) else content
 
 
 def read_json(path: Path, kind: type[Content], remedy: str) -> Content:

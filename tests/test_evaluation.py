@@ -2,13 +2,15 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from dead_runs import die_writing
 from kfenv.agents.contest.cost import relative_cost
 from kfenv.agents.contest.evaluation import Contest, evaluate
-from kfenv.agents.contest.intervals import mean_interval, median_interval
+from kfenv.agents.contest.formatting import improvement, ratio
+from kfenv.agents.contest.intervals import FEWEST, mean_interval, median_interval
 from kfenv.agents.contest.rollout import (
     SPLITS,
     draw_episodes,
@@ -16,10 +18,12 @@ from kfenv.agents.contest.rollout import (
     rollout,
     scenario_and_options,
 )
-from kfenv.agents.contest.scores import read_scores
+from kfenv.agents.contest.scores import Scores, read_scores
+from kfenv.agents.contest.summary import summarise
 from kfenv.agents.contest.tuning import tune
 from kfenv.agents.contestants.fixed import Fixed, FixedTuned
 from kfenv.agents.contestants.registry import make_agent
+from kfenv.agents.files import write_json
 
 import kfenv  # noqa: F401
 from kfenv.filters.engine import Engine
@@ -137,6 +141,32 @@ def test_intervals_cover(interval):
     assert 88 <= hits <= 100
 
 
+@pytest.mark.parametrize("count", [2, 4, 6, 9, 15, 29])
+def test_intervals_of_few_episodes_cover_or_are_none(count):
+    rng = np.random.default_rng(1)
+    trials = rng.normal(size=(400, count))
+    cases = [(median_interval, np.exp(trials), 1.0), (mean_interval, trials, 0.0)]
+    for interval, samples, truth in cases:
+        told = [interval(values, 0) for values in samples]
+        if count < FEWEST:
+            assert set(told) == {(None, None)}
+        else:
+            assert np.mean([low <= truth <= high for low, high in told]) >= 0.925
+
+
+def test_where_an_error_is_exactly_zero_json_stays_valid(tmp_path):
+    exact = Scores(np.zeros(7), np.zeros(7, bool), np.full(7, np.inf), np.full((7, 1), np.nan), 1.0)
+    other = replace(exact, rmse=np.arange(7.0))
+    scores = {"fixed": exact, "fixed-tuned": other}
+    results = [summarise(name, scores, "fixed", (), 0) for name in scores]
+    assert results[1]["improvement_over_fixed"] is None and results[1]["log_ratio"] is None
+    assert results[1]["difference_to_fixed_tuned"] == 0.0
+    assert (improvement(results[1]), ratio(results[1])) == ("-", "-")
+    write_json(tmp_path / "results.json", [*results, {"made of": (np.inf, [float("nan")])}])
+    stored = json.loads((tmp_path / "results.json").read_text(), parse_constant=pytest.fail)
+    assert stored[-1] == {"made of": [None, [None]]}
+
+
 def test_a_rival_takes_part_and_is_compared_with(evaluated, tmp_path):
     folder = tmp_path / "out"
     shutil.copytree(evaluated[0], folder)
@@ -148,15 +178,10 @@ def test_a_rival_takes_part_and_is_compared_with(evaluated, tmp_path):
     assert result["log_ratio"] == pytest.approx(np.mean(own) - np.mean(rival))
     assert result["rmse_geometric_mean"] == pytest.approx(np.exp(np.mean(own)))
     assert result["log_ratio_ci_low"] < result["log_ratio"] < result["log_ratio_ci_high"]
-    ends = np.quantile([np.mean(d) for d in resampled(own - rival)], [0.025, 0.975])
+    half = 2.5706 * np.std(own - rival, ddof=1) / np.sqrt(6)  # Student's t of five freedoms
     told = [result[f"log_ratio_ci_{end}"] for end in ("low", "high")]
-    np.testing.assert_allclose(told, ends, atol=0.1 * np.ptp(ends))
+    np.testing.assert_allclose(told, result["log_ratio"] + half * np.array([-1, 1]), rtol=1e-4)
     assert results[2]["log_ratio"] == 0.0 and "against" not in evaluated[1][0]
-
-
-def resampled(values):
-    rng = np.random.default_rng(0)
-    return rng.choice(values, (4000, len(values)))
 
 
 def test_a_folder_gains_agents_and_repeats_none(evaluated, tmp_path):

@@ -7,7 +7,16 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from ..contest.formatting import consistency, cost, improvement, nis, ratio, short
+from ..contest.formatting import (
+    consistency,
+    cost,
+    improvement,
+    nis,
+    ratio,
+    short,
+    with_interval,
+)
+from ..contest.intervals import FEW, FEWEST
 from .options import is_real_log
 
 
@@ -18,6 +27,11 @@ def results_table(results: list[dict[str, Any]], where: str = "unseen episodes")
         "geo.: geometric mean; lost: tracks lost, %; ANEES and NIS of each channel group: 1 if "
         "consistent, lost tracks left out; cost: CPU time, engine predict + update = 1"
     ]
+    episodes = results[0]["episodes"]
+    if episodes < FEWEST:
+        notes.append(f"no intervals of fewer than {FEWEST} episodes")
+    elif episodes < FEW:
+        notes.append(f"intervals of fewer than {FEW} episodes: order statistics and Student's")
     if against is not None:
         notes.append(f"vs {against}: ratio of the geometric means, paired")
     if is_real_log(results[0]["env_kwargs"]):
@@ -56,8 +70,7 @@ def _row(result: dict[str, Any]) -> list[str]:
         row.append(ratio(result))
     elif "difference_to_fixed_tuned" in result:
         keys = ("difference_to_fixed_tuned", "difference_ci_low", "difference_ci_high")
-        middle, low, high = (_signed(result[key]) for key in keys)
-        row.append(f"{middle} ({low}, {high})")
+        row.append(with_interval([result[key] for key in keys], _signed))
     return row
 
 

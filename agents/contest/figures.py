@@ -62,14 +62,15 @@ def _improvements(results: Sequence[dict[str, Any]]) -> Figure:
     axes = figure.subplots()
     for row, result in enumerate(ranked):
         low, middle, high = (
-            100.0 * max(result[key], -1.0)
+            np.nan if result[key] is None else 100.0 * max(result[key], -1.0)
             for key in ("ci_low", "improvement_over_fixed", "ci_high")
         )
         axes.plot([low, high], [row, row], color=COLOURS[4], lw=4, solid_capstyle="butt", alpha=0.4)
         axes.plot(middle, row, "o", color=COLOURS[4])
     axes.axvline(0.0, color="black", lw=0.8)
     axes.set_yticks(range(len(ranked)), [result["agent"] for result in ranked])
-    far_below = any(result["ci_low"] < -0.25 for result in ranked)
+    keys = ("ci_low", "improvement_over_fixed")
+    far_below = any((result[key] or 0.0) < -0.25 for result in ranked for key in keys)
     axes.set_xlim(-105.0 if far_below else -30.0, 100.0)
     axes.set_xlabel("RMSE below the nominal filter's on the same episode, %: median, 95 % interval")
     if far_below:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from math import expm1
 from typing import Any
 
@@ -36,12 +36,16 @@ def cost(relative: float | None) -> str:
 def improvement(result: Mapping[str, Any]) -> str:
     """How far the error is below the nominal filter's, in per cent, with its interval."""
     keys = ("improvement_over_fixed", "ci_low", "ci_high")
-    middle, low, high = (f"{100.0 * result[key]:+.0f}" for key in keys)
-    return f"{middle} ({low}, {high})"
+    return with_interval([result[key] for key in keys], lambda share: f"{100.0 * share:+.0f}")
 
 
 def ratio(result: Mapping[str, Any]) -> str:
     """How much larger the error is than the rival's, in per cent, with its interval."""
     keys = ("log_ratio", "log_ratio_ci_low", "log_ratio_ci_high")
-    middle, low, high = (f"{100.0 * expm1(result[key]):+.0f}" for key in keys)
-    return f"{middle} ({low}, {high})"
+    return with_interval([result[key] for key in keys], lambda log: f"{100.0 * expm1(log):+.0f}")
+
+
+def with_interval(numbers: Sequence[float | None], written: Callable[[float], str]) -> str:
+    """A number with the ends of its interval, as far as there are any."""
+    middle, *ends = ("-" if number is None else written(number) for number in numbers)
+    return middle if numbers[1] is None else f"{middle} ({', '.join(ends)})"

@@ -112,8 +112,7 @@ def _main_table(tested: Results) -> list[str]:
 
 def _median(result: dict[str, Any]) -> str:
     keys = ("rmse_median", "rmse_median_ci_low", "rmse_median_ci_high")
-    middle, low, high = (formatting.short(result[key]) for key in keys)
-    return f"{middle} ({low}, {high})"
+    return formatting.with_interval([result[key] for key in keys], formatting.short)
 
 
 def _case_table(results: Results, tested: Results) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -30,32 +30,42 @@ def summarise(
     """
     own = scores[name]
     summary = _alone(own, groups, seed)
-    improvement = 1.0 - own.rmse / scores[NOMINAL].rmse
-    summary["improvement_over_fixed"] = float(np.median(improvement))
-    summary["ci_low"], summary["ci_high"] = median_interval(improvement, seed)
+    with np.errstate(divide="ignore", invalid="ignore"):  # an error may be exactly zero
+        improvement = 1.0 - own.rmse / scores[NOMINAL].rmse
+        ratio = None if against is None else np.log(own.rmse / scores[against].rmse)
+    keys = ("improvement_over_fixed", "ci_low", "ci_high")
+    summary |= _paired(keys, improvement, np.median, median_interval, seed)
     if TUNED in scores:
         difference = own.rmse - scores[TUNED].rmse
-        low, high = median_interval(difference, seed)
-        summary["difference_to_fixed_tuned"] = float(np.median(difference))
-        summary["difference_ci_low"], summary["difference_ci_high"] = low, high
-    if against is not None:
-        ratio = np.log(own.rmse / scores[against].rmse)
-        low, high = mean_interval(ratio, seed)
-        summary |= {"against": against, "log_ratio": float(np.mean(ratio))}
-        summary["log_ratio_ci_low"], summary["log_ratio_ci_high"] = low, high
+        keys = ("difference_to_fixed_tuned", "difference_ci_low", "difference_ci_high")
+        summary |= _paired(keys, difference, np.median, median_interval, seed)
+    if ratio is not None:
+        keys = ("log_ratio", "log_ratio_ci_low", "log_ratio_ci_high")
+        summary |= {"against": against} | _paired(keys, ratio, np.mean, mean_interval, seed)
     return summary
+
+
+def _paired(
+    keys: tuple[str, str, str], values: Array, statistic: Callable, interval: Callable, seed: int
+) -> dict[str, float | None]:
+    """A statistic of paired values with its interval; None where one of them is no number."""
+    if not np.isfinite(values).all():
+        return dict.fromkeys(keys)
+    return dict(zip(keys, (float(statistic(values)), *interval(values, seed)), strict=True))
 
 
 def _alone(own: Scores, groups: tuple[str, ...], seed: int) -> dict[str, Any]:
     kept = ~own.lost
     low, high = median_interval(own.rmse, seed)
+    with np.errstate(divide="ignore"):
+        geometric_mean = float(np.exp(np.mean(np.log(own.rmse))))
     return {
         "rmse": float(own.rmse.mean()),
         "rmse_std": float(own.rmse.std(ddof=1)),
         "rmse_median": float(np.median(own.rmse)),
         "rmse_median_ci_low": low,
         "rmse_median_ci_high": high,
-        "rmse_geometric_mean": float(np.exp(np.mean(np.log(own.rmse)))),
+        "rmse_geometric_mean": geometric_mean,
         "rmse_p95": float(np.percentile(own.rmse, 95)),
         "track_loss": float(own.lost.mean()),
         "anees": _mean(own.nees[kept]) if np.isfinite(own.nees[kept]).all() else None,
