@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from moving_receivers import BIAS, START, drive, write_truth
-from rinex_files import FOLDER, needs_rinex
+from rinex_files import FOLDER, header_line, needs_rinex
 from scipy.linalg import expm
 
 import kfenv  # noqa: F401  (registers the environments)
@@ -217,6 +217,18 @@ def test_without_truth_withheld_fixes_are_the_yardstick(driven):
     assert np.linalg.norm(away, axis=-1).max() < 12.0
     with pytest.raises(ValueError, match=r"has no APPROX POSITION XYZ.* moved \(moving=True\)"):
         read_log(driven[0].observed, driven[0].broadcast)
+
+
+@pytest.mark.parametrize("flag", [2, 3])
+def test_an_event_of_motion_in_the_file_is_served(driven, tmp_path, flag):
+    """Nobody need say that the receiver moved where the file does."""
+    text = driven[0].observed.read_text()
+    second = text.index("\n>", text.index("\n>") + 1) + 1
+    event = f">{'':30s}{flag}  1\n" + header_line("A BUS STOP", "MARKER NAME")
+    path = tmp_path / "drive.obs"
+    path.write_text(text[:second] + event + text[second:])
+    log = read_log(path, driven[0].broadcast)
+    assert log.moving and not log.told and len(log.row) == len(driven[2].row)
 
 
 @needs_rinex

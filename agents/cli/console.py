@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import sys
 import traceback
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -34,7 +36,9 @@ def complaints() -> Iterator[None]:
     from gymnasium.error import Error as GymnasiumError
 
     try:
-        yield
+        with warnings.catch_warnings():
+            warnings.showwarning = _show_warning
+            yield
     except KeyboardInterrupt as interrupt:
         message = str(interrupt) or "Interrupted: what was finished is kept; go on with --resume."
         Console(stderr=True).print(message, soft_wrap=True)
@@ -58,3 +62,11 @@ def _about_the_cache(error: Exception) -> str | None:
         "set NUMBA_CACHE_DIR to a new folder that can be written, or, if a file there is damaged, "
         "delete all *.nbi files beside the program."
     )
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *where: object) -> None:
+    """What the user should know of the files given, without the line of ours that says so."""
+    if category is UserWarning:
+        Console(stderr=True).print(f"[yellow]Note:[/yellow] {escape(str(message))}", soft_wrap=True)
+    else:
+        sys.stderr.write(warnings.formatwarning(message, category, *where[:2]))
