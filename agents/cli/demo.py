@@ -10,9 +10,17 @@ import typer
 
 from ..files import is_free
 from .console import complaints, console
-from .contest import DEFAULT_AGENTS, run_contest
+from .contest import run_contest
 from .options import Resume, Seed
 from .training import load_training
+
+RIVALS = (
+    "innovation-fading", "huber-gate", "innovation-noise", "pooled-noise", "hmm-turn", "hmm-2q",
+    "clairvoyant", "learned", "learned-small",
+)  # fmt: skip
+TUNING_EPISODES, TUNING_TRIALS = 32, 20
+SHORT = {"units": 32, "episodes": 384, "rounds": 2, "epochs": 8, "tuning_trials": 8}
+UPDATES = 30  # through the filter: a small network's first half minute
 
 
 def demo(
@@ -20,37 +28,54 @@ def demo(
         "demo"
     ),
     seed: Seed = 0,
-    steps: Annotated[int, typer.Option(min=1, help="Training steps.")] = 5_000_000,
     episodes: Annotated[int, typer.Option(min=2, help="Unseen episodes.")] = 200,
     resume: Resume = False,
 ) -> None:
-    """The whole idea in a few minutes: train an agent, then contest it.
+    """The whole idea in a few minutes: the agents that come with kfenv, then one of your own.
 
-    On kfenv/RadarTracking-v0 at 2 measurements per second, the harder contest.
+    On kfenv/RadarTracking-v0 at 2 measurements per second. First a contest of the trained agents
+    with fixed, rule-based and clairvoyant filters, every rule tuned; then a small agent is taught,
+    and joins it.
     """
     env, kwargs = "kfenv/RadarTracking-v0", {"rate": 2.0}
-    learned = output / "learned"
+    taught, evaluation = output / "taught", output / "evaluation"
     with complaints():
         if not is_free(output) and not resume:
             raise FileExistsError(
                 f"The folder {output} is not empty: name another with --output, or go on "
                 "with --resume."
             )
-        if not (resume and (learned / "policy.npz").exists() and _trained(learned) >= steps):
-            console.print(f"Training PPO for {steps:,} steps on random flights and faults ...")
-            load_training()(
-                env, algorithm="ppo", steps=steps, seed=seed, output=learned, env_kwargs=kwargs,
-                resume=resume and (learned / "config.json").exists(),
-            )  # fmt: skip
-        console.print(f"Contest on {episodes} unseen episodes; every rule is tuned first ...")
-        run_contest(
-            env, kwargs, (*DEFAULT_AGENTS, str(learned)), episodes, seed, 32, 60,
-            output / "evaluation", 2, resume,
-        )  # fmt: skip
+        load_training()  # complains before the contest if there is nothing to train with
+        if not (resume and (evaluation / "results.json").exists()):
+            console.print(f"Contest on {episodes} unseen episodes; every rule is tuned first ...")
+            _contest(env, kwargs, RIVALS, episodes, seed, evaluation, resume)
+        if not (resume and _is_taught(taught)):
+            console.print("Teaching a small agent on random flights and faults ...")
+            _teach(env, kwargs, seed, taught, resume and (taught / "config.json").exists())
+        console.print("The same contest with it ...")
+        _contest(env, kwargs, (*RIVALS, str(taught)), episodes, seed, evaluation, True)
 
 
-def _trained(folder: Path) -> int:
+def _contest(
+    env: str, kwargs: dict[str, float], agents: tuple[str, ...], episodes: int, seed: int,
+    output: Path, resume: bool,
+) -> None:  # fmt: skip
+    run_contest(
+        env, kwargs, agents, episodes, seed, TUNING_EPISODES, TUNING_TRIALS, output, 2, resume
+    )
+
+
+def _teach(env: str, kwargs: dict[str, float], seed: int, output: Path, resume: bool) -> None:
+    from ..learning.taught import Curriculum, teach
+
+    teach(
+        env, Curriculum(updates=UPDATES), seed=seed, output=output, env_kwargs=kwargs,
+        resume=resume, **SHORT,
+    )  # fmt: skip
+
+
+def _is_taught(folder: Path) -> bool:
     try:
-        return int(json.loads((folder / "training.json").read_text())["steps"])
+        return bool(json.loads((folder / "training.json").read_text())["finished"])
     except (OSError, ValueError, TypeError, KeyError):
-        return 0
+        return False
