@@ -8,7 +8,8 @@ import pytest
 pytest.importorskip("torch")
 
 import torch
-from kfenv.agents.contest.rollout import SPLITS, draw_episodes, rollout
+from kfenv.agents.contest.rollout import SPLITS, draw_episodes, rollout, scenario_and_options
+from kfenv.agents.contest.suites import SUITES
 from kfenv.agents.contestants.policy import NumpyPolicy
 from kfenv.agents.contestants.registry import make_agent
 from kfenv.agents.learning import taught
@@ -22,6 +23,7 @@ from kfenv.agents.learning.worlds import TRAINING, build_world, bundled_worlds
 ENV = "kfenv/RadarTracking-v0"
 KWARGS = {"rate": 2.0, "duration": 20.0}
 FULL = KWARGS | {"observation": "full"}
+WORLDS = {"radar-2hz": "radar", "bistatic": "bistatic", "radar-validation": "radar-validation"}
 TINY = {
     "episodes": 12, "epochs": 1, "rounds": 2, "units": 8, "refined_episodes": 6, "chunk": 15,
     "tuning_trials": 0, "checkpoint_every": 2,
@@ -222,12 +224,24 @@ def test_a_budget_in_minutes_becomes_a_number_of_updates(tmp_path, monkeypatch):
     assert record["total"] is not None and record["updates"] >= 2
 
 
-def test_worlds_are_read_and_never_draw_what_is_tested(tmp_path):
-    for name in bundled_worlds():
-        parts = build_world(ENV, FULL, name)
-        assert sum(len(part.kinds) for part in parts) > 1
+@pytest.mark.parametrize("suite, world", WORLDS.items())
+def test_worlds_are_wider_than_their_suite_but_hold_none_of_its_other_cases(suite, world):
+    suite = SUITES[suite]
+    parts = build_world(suite.env_id, dict(suite.kwargs), world)
+    kinds = [kind for part in parts for kind in part.kinds]
+    assert len(kinds) > 1
+    for case in suite.others.values():
+        tested, _ = scenario_and_options(suite.env_id, dict(suite.kwargs) | dict(case.kwargs))
+        assert tested not in [kind.scenario for kind in kinds]
+
+
+def test_every_bundled_world_is_tested():
+    assert set(bundled_worlds()) == set(WORLDS.values())
+
+
+def test_training_draws_nothing_that_is_tested(tmp_path):
     assert TRAINING not in SPLITS.values()
-    one, two = parts[0].kinds[:2]
+    one, two = build_world(ENV, FULL, "radar")[0].kinds[:2]
     drawn = [one.draw(0, lesson, 2) for lesson in (0, 1)] + [two.draw(0, 0, 2)]
     drawn += [draw_episodes(ENV, FULL, split, 0, 2) for split in SPLITS]
     measured = {recording.measurement.tobytes() for recording in drawn}
