@@ -424,6 +424,11 @@ class TestDisorders:
         track = made_up(duration=300.0, step=30.0)
         with pytest.raises(ValueError, match=r"lasts 0 s without .* longest_gap=30 or"):
             window(np.random.default_rng(0), smooth_track(track), [0.0, 60.0])
+        sparse = np.append(track.time, 1300.0 + track.time)  # a gap that need not be bridged
+        twice = Track(sparse, *(np.tile(column, 2) for column in (
+            track.latitude, track.longitude, track.altitude)))  # fmt: skip
+        with pytest.raises(ValueError, match=r"longest_gap=30 or"):
+            window(np.random.default_rng(0), smooth_track(twice), [0.0, 60.0])
         bridged = smooth_track(track, longest_gap=30.0)
         assert len(window(np.random.default_rng(0), bridged, [0.0, 60.0])) == 2
 

@@ -97,9 +97,13 @@ class SmoothTrack:
         return float(begin[stretch] + offset - room[:stretch].sum())
 
     def _bridge(self, duration: float) -> str:
-        """What bridges the gaps, where that makes the flight long enough."""
-        widest = max((end - begin for begin, end in self.gaps), default=0.0)
-        return f", bridge gaps with longest_gap={widest:g}" if duration <= self.duration else ""
+        """The least gap to bridge that makes a stretch long enough, if any does."""
+        for least in sorted(end - begin for begin, end in self.gaps):
+            wider = [gap for gap in self.gaps if gap[1] - gap[0] > least]
+            edges = np.array([0.0, *(time for gap in wider for time in gap), self.duration])
+            if (edges[1::2] - edges[0::2]).max() >= duration:
+                return f", bridge gaps with longest_gap={np.ceil(least):g}"
+        return ""
 
     def _check(self, time: ArrayLike) -> Array:
         time = check_time(time)
