@@ -3,6 +3,7 @@
 import importlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -27,6 +28,12 @@ def test_help_names_every_command():
     text = kfenv("--help").output
     for command in ("envs", "train", "evaluate", "suite", "leaderboard", "bench", "demo"):
         assert command in text
+
+
+def test_who_resumes_training_is_told_that_it_runs_code():
+    for command in ("train", "demo"):
+        text = " ".join(re.sub("[^a-zA-Z-]", " ", kfenv(command, "--help").output).split())
+        assert "Only with one of your own" in text and "pickles" in text
 
 
 def test_envs_lists_every_id():

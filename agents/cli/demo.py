@@ -11,7 +11,7 @@ import typer
 from ..files import is_free
 from .console import complaints, console
 from .contest import run_contest
-from .options import Resume, Seed
+from .options import ResumeTraining, Seed
 from .training import load_training
 
 RIVALS = (
@@ -29,7 +29,7 @@ def demo(
     ),
     seed: Seed = 0,
     episodes: Annotated[int, typer.Option(min=2, help="Unseen episodes.")] = 200,
-    resume: Resume = False,
+    resume: ResumeTraining = False,
 ) -> None:
     """The whole idea in a few minutes: the agents that come with kfenv, then one of your own.
 

@@ -44,6 +44,13 @@ Against = Annotated[
     typer.Option(help="A rival to compare every agent with, episode by episode: a name or path."),
 ]
 Resume = Annotated[bool, typer.Option(help="Go on with what is in the output folder.")]
+ResumeTraining = Annotated[
+    bool,
+    typer.Option(
+        help="Go on with the run in the output folder. Only with one of your own: checkpoints of "
+        "ppo and sac are pickles, and reading them runs the code that they hold."
+    ),
+]
 
 
 def env_kwargs(

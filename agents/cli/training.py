@@ -17,7 +17,7 @@ from .options import (
     Faults,
     Option,
     Rate,
-    Resume,
+    ResumeTraining,
     Rinex,
     Seed,
     Track,
@@ -80,7 +80,7 @@ def train(
         int | None,
         typer.Option(min=0, help="taught: refine by so many updates instead, to repeat a run."),
     ] = None,
-    resume: Resume = False,
+    resume: ResumeTraining = False,
 ) -> None:
     """Train an agent (needs the extra 'train').
 

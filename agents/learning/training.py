@@ -72,6 +72,8 @@ def train(
         progress: Show a progress bar if the standard error stream is a terminal.
         resume: Go on from the checkpoint in `output`. Everything but `steps` must be as before.
             The environments start new episodes, so the policy differs from an uninterrupted run's.
+            The checkpoint and the replay buffer are pickles: reading them runs the code that they
+            hold, so resume only folders of your own.
 
     Raises:
         TrainingInterrupted: Ctrl-C or SIGTERM. The checkpoint is saved; a second one stops
