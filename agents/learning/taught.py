@@ -118,6 +118,28 @@ def teach(
     return folder / "policy.npz"
 
 
+class Budget:
+    """Of updates through the filter: a number, or minutes that become one.
+
+    Attributes:
+        total: None as long as it is not known.
+    """
+
+    def __init__(self, curriculum: Curriculum, done: Progress) -> None:
+        self._minutes, self._first, self._begun = curriculum.minutes, done.updates, time.monotonic()
+        self.total = done.total if curriculum.updates is None else curriculum.updates
+        if self.total is None and not curriculum.minutes:
+            self.total = 0
+
+    def is_spent(self, updates: int) -> bool:
+        """Whether so many updates are all; the first ones tell how long one takes."""
+        made = updates - self._first
+        if self.total is None and made >= TIMED:
+            spent = time.monotonic() - self._begun
+            self.total = max(updates, math.ceil(60.0 * self._minutes * made / spent))
+        return self.total is not None and updates >= self.total
+
+
 class Course:
     """A run: the network, its optimiser, and how far it has come."""
 
@@ -213,31 +235,24 @@ class Course:
     # ----- through the filter ---------------------------------------------------------
 
     def _refine(self, stop: Any, shown: bool) -> None:
-        total = self.curriculum.updates if self.curriculum.updates is not None else self.done.total
-        if total is None and not self.curriculum.minutes:
+        budget = Budget(self.curriculum, self.done)
+        if budget.total == 0:
             return
         if self.done.updates == 0:  # the lessons' momentum is of another loss
             self.optimiser = torch.optim.Adam(self.network.parameters(), betas=BETAS)
-        begun, first = time.monotonic(), self.done.updates
-        with TrainingProgress(
-            "refinement", total or 1, self.done.updates, shown, unit="updates"
-        ) as bar:
-            while (total is None or self.done.updates < total) and not stop.is_set():
+        saved = self.done.updates
+        with TrainingProgress("refinement", budget.total or 1, saved, shown, unit="updates") as bar:
+            while not stop.is_set() and not budget.is_spent(self.done.updates):
                 for chunk in self._next_chunks():
-                    spent, made = time.monotonic() - begun, self.done.updates - first
-                    if total is None and made >= TIMED:
-                        total = math.ceil(60.0 * self.curriculum.minutes * made / spent)
-                        self.done = replace(self.done, total=total)
-                        bar.retotal(total)
-                    if stop.is_set() or (total is not None and self.done.updates >= total):
+                    if stop.is_set() or budget.is_spent(self.done.updates):
                         break
-                    self._update(chunk, total or math.inf, bar)
-                self.done = replace(self.done, rolls=self.done.rolls + 1)
-                if self.done.updates - self._saved >= self.settings.checkpoint_every:
-                    self._saved = self.done.updates
+                    self._update(chunk, budget.total or math.inf, bar)
+                if budget.total is not None:
+                    bar.retotal(budget.total)
+                self.done = replace(self.done, rolls=self.done.rolls + 1, total=budget.total)
+                if self.done.updates - saved >= self.settings.checkpoint_every:
+                    saved = self.done.updates
                     self.save()
-
-    _saved = 0
 
     def _next_chunks(self) -> list[Chunk]:
         """The chunks of newly rolled episodes of one part."""
@@ -301,13 +316,8 @@ class Course:
         core, own = self._core(), ("env_id", "env_kwargs")
         trained = {key: value for key, value in record.items() if key != "curve"}
         rest = {key: value for key, value in self.config.items() if key not in own}
-        return (
-            {key: self.config[key] for key in own}
-            | layout(core)
-            | {
-                "metadata": rest | {"trained": trained},
-            }
-        )
+        about = {key: self.config[key] for key in own} | layout(core)
+        return about | {"metadata": rest | {"trained": trained}}
 
     def _rng(self, number: int) -> Generator:
         """For all that is random in a numbered lesson or roll, but its episodes."""
