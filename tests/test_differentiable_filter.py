@@ -16,7 +16,7 @@ from kfenv.scenarios.radar.tracking import RadarTracking
 
 torch = pytest.importorskip("torch")
 
-from kfenv.agents.learning.differentiable import DifferentiableFilter, Predicted  # noqa: E402
+from kfenv.agents.learning.teaching.differentiable import DifferentiableFilter, Predicted  # noqa: E402
 
 TOLERANCE = 1e-9  # of a state's deviation, or of what an improbable innovation moves it by
 ROUNDING = 4 * np.finfo(float).eps  # of a position or range of thousands of kilometres

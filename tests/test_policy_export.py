@@ -7,7 +7,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from kfenv.agents.contestants.policy import NumpyPolicy
-from kfenv.agents.learning.export import export_policy
+from kfenv.agents.learning.reinforcement.export import export_policy
 
 ABOUT = {"env_id": "Uneven-v0", "env_kwargs": {"rate": 2}, "note": "a test"}
 

@@ -14,8 +14,8 @@ pytest.importorskip("stable_baselines3")
 from kfenv.agents.contest.rollout import draw_episodes, rollout
 from kfenv.agents.contestants.learned import Learned
 from kfenv.agents.contestants.policy import NumpyPolicy
-from kfenv.agents.learning.models import model_class
-from kfenv.agents.learning.training import train
+from kfenv.agents.learning.reinforcement.models import model_class
+from kfenv.agents.learning.reinforcement.training import train
 
 SHORT = {"duration": 2.0, "actions": ["fading", "measurement_noise"]}
 OF_PPO = "n_steps = 16\nminibatches = 2\nepochs = 1\n"
@@ -105,7 +105,7 @@ def test_recurrent_learning_from_scratch_repeats_and_can_be_contested(go):
 
 def test_a_missing_library_is_named(go, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "sb3_contrib", None)
-    monkeypatch.delitem(sys.modules, "kfenv.agents.learning.recurrent", raising=False)
+    monkeypatch.delitem(sys.modules, "kfenv.agents.learning.reinforcement.recurrent", raising=False)
     with pytest.raises(ValueError, match="recurrent-ppo needs sb3-contrib"):
         go("recurrent-ppo")
     assert not (tmp_path / "run").exists()

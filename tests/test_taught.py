@@ -12,13 +12,14 @@ from kfenv.agents.contest.rollout import SPLITS, draw_episodes, rollout, scenari
 from kfenv.agents.contest.suites import SUITES
 from kfenv.agents.contestants.policy import NumpyPolicy
 from kfenv.agents.contestants.registry import make_agent
-from kfenv.agents.learning import taught
 from kfenv.agents.learning.networks import RecurrentNetwork
-from kfenv.agents.learning.refinement import Chunk, Refinery, chunks, no_lane_rules
-from kfenv.agents.learning.rolling import roll
 from kfenv.agents.learning.runs import TrainingInterrupted
-from kfenv.agents.learning.taught import Curriculum, teach
-from kfenv.agents.learning.worlds import TRAINING, build_world, bundled_worlds
+from kfenv.agents.learning.teaching import refinement, training
+from kfenv.agents.learning.teaching.course import Curriculum
+from kfenv.agents.learning.teaching.rolling import roll
+from kfenv.agents.learning.teaching.through_filter import Chunk, Refinery, chunks, no_lane_rules
+from kfenv.agents.learning.teaching.training import teach
+from kfenv.agents.learning.teaching.worlds import TRAINING, build_world, bundled_worlds
 
 ENV = "kfenv/RadarTracking-v0"
 KWARGS = {"rate": 2.0, "duration": 20.0}
@@ -207,7 +208,7 @@ def test_runs_repeat_and_resume(tmp_path, monkeypatch):
         yield Stop()
 
     with monkeypatch.context() as patch, pytest.raises(TrainingInterrupted, match="--resume"):
-        patch.setattr(taught, "stop_as_event", stopping)
+        patch.setattr(training, "stop_as_event", stopping)
         run("three")
     record = json.loads((tmp_path / "three" / "training.json").read_text())
     assert not record["finished"] and record["updates"] < 5
@@ -217,7 +218,7 @@ def test_runs_repeat_and_resume(tmp_path, monkeypatch):
 
 
 def test_a_budget_in_minutes_becomes_a_number_of_updates(tmp_path, monkeypatch):
-    monkeypatch.setattr(taught, "TIMED", 2)
+    monkeypatch.setattr(refinement, "TIMED", 2)
     teach(ENV, Curriculum(teacher=None, minutes=1e-4), seed=0, output=tmp_path / "a",
           env_kwargs=KWARGS, progress=False, **TINY)  # fmt: skip
     record = json.loads((tmp_path / "a" / "training.json").read_text())

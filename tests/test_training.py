@@ -22,11 +22,11 @@ pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
 from kfenv.agents.contestants.policy import NumpyPolicy
-from kfenv.agents.learning import checkpoints, training
-from kfenv.agents.learning.scaling import scaling_for
+from kfenv.agents.learning.reinforcement import checkpoints, training
+from kfenv.agents.learning.reinforcement.scaling import scaling_for
+from kfenv.agents.learning.reinforcement.stable_baselines import VectorEnvAdapter
+from kfenv.agents.learning.reinforcement.training import TrainingInterrupted, train
 from kfenv.agents.learning.settings import PPOSettings, read_settings
-from kfenv.agents.learning.stable_baselines import VectorEnvAdapter
-from kfenv.agents.learning.training import TrainingInterrupted, train
 from stable_baselines3.common.monitor import Monitor
 
 PENDULUM = "Pendulum-v1"

@@ -66,7 +66,8 @@ def _contest(
 
 
 def _teach(env: str, kwargs: dict[str, float], seed: int, output: Path, resume: bool) -> None:
-    from ..learning.taught import Curriculum, teach
+    from ..learning.teaching.course import Curriculum
+    from ..learning.teaching.training import teach
 
     teach(
         env, Curriculum(updates=UPDATES), seed=seed, output=output, env_kwargs=kwargs,

@@ -113,7 +113,8 @@ def _teach(
     units: int | None, lessons: dict[str, Any],
 ) -> dict[str, Any]:  # fmt: skip
     """Train by lessons; returns the environment's keywords that the policy works with."""
-    from ..learning.taught import Curriculum, teach
+    from ..learning.teaching.course import Curriculum
+    from ..learning.teaching.training import teach
 
     if lessons["teacher"] == "none":
         lessons["teacher"] = None
@@ -157,7 +158,7 @@ def _validate(env: str, kwargs: dict[str, Any], seed: int, output: Path) -> None
 def load_training() -> Callable[..., Path]:
     """The function that trains; complains if the learning library is not installed."""
     try:
-        from ..learning.training import train
+        from ..learning.reinforcement.training import train
     except ImportError as error:
         raise ValueError(str(error)) from None
     return train

@@ -1,4 +1,4 @@
-"""How agents learn: settings, training by stable-baselines3, checkpoints.
+"""How agents learn: from rewards or from a teacher; settings and what all runs share.
 
 The only room that imports a learning library. May import `contest` and `contestants`.
 """

@@ -9,13 +9,15 @@ import signal
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+
+from kfenv.envs.core import Core
 
 from ..files import is_free
 from .settings import RECURRENT_PPO
@@ -41,6 +43,13 @@ def describe_run(
     }
     config["versions"]["python"] = platform.python_version()
     return json.loads(json.dumps(config, default=_as_json))
+
+
+def layout(core: Core | None) -> dict[str, Any]:
+    """The features that an environment of kfenv shows and its knobs; nothing of others."""
+    if core is None:
+        return {}
+    return {"features": core.feature_names(), "knobs": [astuple(knob) for knob in core.knobs]}
 
 
 def _as_json(value: Any) -> Any:

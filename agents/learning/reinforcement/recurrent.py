@@ -18,8 +18,8 @@ except ImportError as error:
         f"recurrent-ppo needs sb3-contrib ({error}): pip install -e '.[train]'."
     ) from error
 
+from ..networks import RecurrentNetwork
 from .actors import MeanActions, renew_optimiser
-from .networks import RecurrentNetwork
 
 __all__ = ["RecurrentPPO", "TaughtRecurrentPolicy"]
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..files import written_whole
+from ...files import written_whole
 
 
 @dataclass(frozen=True)

@@ -3,15 +3,75 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from threading import Event
 
 import numpy as np
 import torch
 from numpy.random import Generator
 
-from .networks import RecurrentNetwork
-from .rolling import Roll
+from ...contest.rollout import draw_episodes
+from ...contest.tuning import tune
+from ...contestants.agent import Agent
+from ..networks import RecurrentNetwork
+from ..progress import TrainingProgress
+from .course import Course, cosine
+from .descent import descend
+from .rolling import Roll, roll
 
+TUNING_EPISODES = 32  # as many as everyone is tuned on
 LEAST_DEVIATION = 1e-3  # of a feature, so that one that never moved is not blown up
+
+
+def hold_lessons(course: Course, teacher: Agent, stop: Event, shown: bool) -> None:
+    """All rounds that are left, a checkpoint after each."""
+    settings = course.settings
+    if course.done.rounds < settings.rounds:
+        teacher = _tuned(course, teacher)
+    with TrainingProgress(
+        "lessons", settings.rounds, course.done.rounds, shown, unit="rounds"
+    ) as bar:
+        while course.done.rounds < settings.rounds and not stop.is_set():
+            _lesson(course, teacher, bar)
+            bar.advance(course.done.rounds)
+            course.save()
+
+
+def _lesson(course: Course, teacher: Agent, bar: TrainingProgress) -> None:
+    number, settings = course.done.rounds, course.settings
+    rng = course.rng(number)
+    jitter = (rng, settings.jitter) if number == 0 else None
+    total = sum(part.share for part in course.parts)
+    rolls = []
+    for part in course.parts:
+        episodes = max(2, round(settings.episodes * part.share / total))
+        recording = part.draw(course.seed, number, episodes)
+        rolls.append(roll(course.network, part, recording, teacher=teacher, jitter=jitter))
+    if number == 0:
+        standardise(course.network, rolls)
+    errors = []
+
+    def advance(loss: float) -> None:
+        errors.append(loss)
+        bar.note(f"squared log error {loss:.4f}")
+
+    def rate(share: float) -> float:
+        first, last = settings.learning_rate, settings.final_learning_rate
+        return cosine(first, last, (number + share) / settings.rounds)
+
+    learn(
+        course.network, course.optimiser, rolls, settings.epochs, settings.batch_decisions, rng,
+        rate, settings.max_gradient_norm, advance,
+    )  # fmt: skip
+    course.note(number, "lessons/squared_log_error", float(np.mean(errors[-len(errors) // 4 :])))
+    course.done = replace(course.done, rounds=number + 1)
+
+
+def _tuned(course: Course, teacher: Agent) -> Agent:
+    """The teacher as it is tuned for a contest."""
+    env_id, kwargs = course.config["env_id"], course.config["env_kwargs"]
+    recording = draw_episodes(env_id, kwargs, "tuning", course.seed, TUNING_EPISODES)
+    return tune(teacher, env_id, kwargs, recording, course.settings.tuning_trials, course.seed)
 
 
 def standardise(network: RecurrentNetwork, rolls: Sequence[Roll]) -> None:
@@ -53,22 +113,6 @@ def learn(
         loss = _error(network, roll, chosen)
         descend(network, optimiser, loss, clip)
         advance(loss.item())
-
-
-def descend(
-    network: RecurrentNetwork, optimiser: torch.optim.Optimizer, loss: torch.Tensor, clip: float
-) -> float:
-    """One step down the gradient, which is shortened to `clip`; none if it is not finite.
-
-    Returns:
-        Its length.
-    """
-    optimiser.zero_grad()
-    loss.backward()
-    length = float(torch.nn.utils.clip_grad_norm_(network.parameters(), clip))
-    if np.isfinite(length):
-        optimiser.step()
-    return length
 
 
 def _batches(

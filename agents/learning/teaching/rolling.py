@@ -16,9 +16,9 @@ from kfenv.envs.knobs import Knob, actions_for
 from kfenv.filters.results import Prediction, Update
 from kfenv.scenarios.recording import Recording
 
-from ..contest.rollout import without_truth
-from ..contestants.agent import Agent, Briefing
-from .networks import RecurrentNetwork
+from ...contest.rollout import without_truth
+from ...contestants.agent import Agent, Briefing
+from ..networks import RecurrentNetwork
 from .worlds import Part
 
 Array = NDArray[np.float64]

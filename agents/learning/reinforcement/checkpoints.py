@@ -14,11 +14,12 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
-from ..files import read_json, write_json, written_whole
-from .export import export_policy, layout
+from ...files import read_json, write_json, written_whole
+from ..progress import TrainingProgress
+from ..runs import layout
+from ..settings import Settings
+from .export import export_policy
 from .models import model_class
-from .progress import TrainingProgress
-from .settings import Settings
 from .stable_baselines import VectorEnvAdapter
 
 LARGEST_REPLAY_BUFFER = 2**29  # bytes that a checkpoint may take

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from kfenv.envs.knobs import Knob
 
-from .networks import RecurrentNetwork
+from ..networks import RecurrentNetwork
 
 LARGEST_ACTION = 0.999  # whose inverse of tanh SAC can still work with
 

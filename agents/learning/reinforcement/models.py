@@ -13,11 +13,11 @@ from stable_baselines3.common.utils import LinearSchedule, set_random_seed
 from kfenv.envs.core import Core
 from kfenv.envs.statistics import BOUND
 
-from ..contestants.learned import Learned
-from ..contestants.networks import MOST_DEVIATIONS
+from ...contestants.learned import Learned
+from ...contestants.networks import MOST_DEVIATIONS
+from ..networks import RecurrentNetwork
+from ..settings import RECURRENT_PPO, PPOSettings, SACSettings, Settings
 from .actors import TaughtPolicy, TaughtSACPolicy
-from .networks import RecurrentNetwork
-from .settings import RECURRENT_PPO, PPOSettings, SACSettings, Settings
 from .stable_baselines import VectorEnvAdapter
 
 FIRST_HEAD = 0.01  # share of its usual weights: an untrained network leaves the knobs alone

@@ -21,10 +21,10 @@ from kfenv.names import unknown
 from kfenv.scenarios.recording import Recording, stack
 from kfenv.scenarios.scenario import TrackingScenario
 
-from ..contest.rollout import SPLITS, scenario_and_options
+from ...contest.rollout import SPLITS, scenario_and_options
 
 TRAINING = 1 + max(SPLITS.values())  # key of the training episodes beside the splits'
-FOLDER = files(__package__) / "config" / "worlds"
+FOLDER = files(__package__.rpartition(".")[0]) / "config" / "worlds"
 
 
 @dataclass(frozen=True)

@@ -29,15 +29,15 @@ except ImportError as error:
         f"Training needs stable-baselines3 and torch ({error}): pip install -e '.[train]'."
     ) from error
 
-from ..contest.rollout import find_spec
-from ..contestants.learned import Learned
-from ..files import locked, write_json
+from ...contest.rollout import find_spec
+from ...contestants.learned import Learned
+from ...files import locked, write_json
+from ..progress import TrainingProgress
+from ..runs import TrainingInterrupted, admit, describe_run, stop_as_event, torch_threads
+from ..settings import RECURRENT_PPO, Settings, read_settings
 from .checkpoints import Bookkeeper, load_checkpoint
 from .models import check_start, model_class, new_model
-from .progress import TrainingProgress
-from .runs import TrainingInterrupted, admit, describe_run, stop_as_event, torch_threads
 from .scaling import is_of_kfenv, reward_of, scaling_for
-from .settings import RECURRENT_PPO, Settings, read_settings
 from .stable_baselines import VectorEnvAdapter
 
 

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
-from kfenv.envs.core import Core
-
-from ..contestants.networks import ACTIVATIONS, ALGORITHMS, ActionNetwork
-from ..contestants.policy import write_policy
+from ...contestants.networks import ACTIVATIONS, ALGORITHMS, ActionNetwork
+from ...contestants.policy import write_policy
 
 OF_ENVIRONMENT = ("env_id", "env_kwargs", "features", "knobs")
 
@@ -27,13 +24,6 @@ def export_policy(model: Any, path: str | Path, metadata: Mapping[str, Any]) -> 
     taught = getattr(model.policy, "network", None)
     arrays = _arrays(model) if taught is None else taught.arrays()
     return write_policy(path, arrays, {**about, "metadata": rest})
-
-
-def layout(core: Core | None) -> dict[str, Any]:
-    """The features that an environment of kfenv shows and its knobs; nothing of others."""
-    if core is None:
-        return {}
-    return {"features": core.feature_names(), "knobs": [astuple(knob) for knob in core.knobs]}
 
 
 def _arrays(model: Any) -> dict[str, Any]:

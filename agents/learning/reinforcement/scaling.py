@@ -24,7 +24,7 @@ from gymnasium.envs.registration import load_env_creator
 from kfenv.envs.options import Options
 from kfenv.envs.rewards import IMPROVEMENT, worst
 
-from ..contest.rollout import find_spec, scenario_and_options
+from ...contest.rollout import find_spec, scenario_and_options
 
 
 class Scaling(NamedTuple):

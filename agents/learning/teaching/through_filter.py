@@ -16,8 +16,8 @@ import torch
 
 from kfenv.scenarios.recording import Recording
 
+from ..networks import RecurrentNetwork
 from .differentiable import DifferentiableFilter, Predicted
-from .networks import RecurrentNetwork
 from .rolling import Roll
 
 ROBUSTNESS = 20.0  # squared errors that are so many times an episode's mean count ever less
