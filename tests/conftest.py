@@ -1,9 +1,16 @@
-"""Before the workers start, the environments' kernels are compiled: once each, two at a time."""
+"""Before the workers start, the environments' kernels are compiled: once each, two at a time.
+
+``pytest tests/test_golden.py --renew-golden`` writes the committed runs anew.
+"""
 
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
 import kfenv
+
+
+def pytest_addoption(parser):
+    parser.addoption("--renew-golden", action="store_true", help="write tests/golden anew")
 
 
 def pytest_configure(config):

@@ -1,0 +1,61 @@
+"""Short runs stay what they were when they were committed, on every platform.
+
+A failure means that a simulation or a filter gives other numbers. If that is meant, raise the
+version of the environment's id and of the suites that meet it (for a filter alone: say so in the
+commit), and renew the runs with ``pytest tests/test_golden.py --renew-golden``.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from kfenv.agents.contest.rollout import scenario_and_options
+from kfenv.agents.contestants.registry import make_agent
+from rollouts import BISTATIC, TRACKING, draw, every_environment, make, play, random_actions, short
+
+from kfenv.filters.adaptive import ADAPTIVE_DESIGNS
+from kfenv.filters.designs import DESIGNS
+
+GOLDEN = Path(__file__).with_name("golden")
+# Of the largest in a column: platforms differ in the last bits of sines and logarithms, 1e-16,
+# and observations are single precision, 1e-7.
+TOLERANCE = 1e-6
+DECISIONS, EVERY = 12, 4
+
+
+@pytest.fixture
+def compare(request):
+    """Compare a table with the committed one of that name, or renew that."""
+
+    def with_golden(name, table):
+        path = GOLDEN / f"{name}.csv"
+        if request.config.getoption("--renew-golden"):
+            np.savetxt(path, table, fmt="%.9g", delimiter=",")
+        golden = np.loadtxt(path, delimiter=",")
+        assert table.shape == golden.shape
+        scale = np.nanmax(np.abs(golden), axis=0, initial=1e-12)
+        np.testing.assert_allclose(table / scale, golden / scale, rtol=0.0, atol=TOLERANCE)
+
+    return with_golden
+
+
+@every_environment
+def test_environment_is_as_committed(env_id, compare):
+    """Observation, reward and error of each decision, with faults and knobs far from nominal."""
+    env = make(env_id)
+    actions = random_actions(env.action_space.shape, DECISIONS)
+    _, *steps = play(env, actions, seed=0)
+    rows = [[*seen, reward, info["position_error"]] for seen, reward, _, _, info in steps]
+    assert len(rows) == DECISIONS
+    compare(env_id.removeprefix("kfenv/"), np.array(rows, np.float64))
+
+
+@pytest.mark.parametrize("design", [*DESIGNS, *ADAPTIVE_DESIGNS])
+def test_design_is_as_committed(design, compare):
+    """Mean and deviations of a filter's states at some instants of an episode."""
+    env_id = BISTATIC if design == "lkf" else TRACKING
+    history = make_agent(design).filter(
+        *scenario_and_options(env_id, short(env_id)), draw(env_id, [0])
+    )
+    variance = np.diagonal(history.covariance[0], axis1=1, axis2=2)
+    compare(design, np.hstack([history.mean[0], np.sqrt(variance)])[::EVERY])
