@@ -14,7 +14,7 @@ import numpy as np
 from kfenv.names import unknown
 
 from ..contestants.registry import AGENTS, FILTERS, make_agent
-from ..files import is_free, read_json, write_json
+from ..files import clear_partial, is_free, read_json, write_json
 from .evaluation import Contest, evaluate
 from .recording_hash import recording_hash
 from .rollout import draw_episodes, scenario_and_options
@@ -98,6 +98,7 @@ def run_suite(
     """
     cases, told = run.chosen, _told(run)
     agents = _admit(output, told, run.agents, resume)
+    clear_partial(output)
     contests = {name: run.contest(case, agents) for name, case in cases.items()}
     started(sum(len(contest.all_agents) for contest in contests.values()))
     write_json(output / "suite.json", told | {"agents": agents})

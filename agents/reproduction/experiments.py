@@ -11,7 +11,7 @@ from rich.progress import Progress
 
 from kfenv.names import unknown
 
-from ..files import is_free
+from ..files import clear_partial, is_free
 from . import (
     bistatic,
     gnss_tracking,
@@ -105,6 +105,7 @@ def reproduce(
         )
     if almanac is not None:
         _check_almanac(names, almanac)
+    clear_partial(output)
     claims: list[Claim] = []
     for name in names:
         experiment = EXPERIMENTS[name]
