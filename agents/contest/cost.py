@@ -14,7 +14,7 @@ from .watch import WatchedFilter
 
 LEAST = 20  # episodes: with fewer in lock-step Python's own time counts for more than theirs
 REPEATS = 2
-ENOUGH = 3.0  # s of CPU time, after which nothing is repeated
+ENOUGH = 3.0  # s of CPU time, after which nothing is repeated once more
 
 
 def relative_cost(
@@ -29,7 +29,8 @@ def relative_cost(
 
     Both on the same episodes in lock-step, in this process and in turn, so that the ratio
     tells little of the machine; the least of several times, so that it tells little of its
-    load. Scoring is not counted, and looking at the innovation only for who sees it.
+    load; the first may compile. Scoring is not counted, and looking at the innovation only for
+    who sees it.
 
     Args:
         first: CPU time of a roll-out that is over, s.
@@ -40,7 +41,7 @@ def relative_cost(
     if len(recording) < LEAST:
         return None
     own, bare = [first], [_bare(env_id, env_kwargs, recording)]
-    while len(own) <= REPEATS and sum(own) < ENOUGH:
+    while len(own) < 2 or (len(own) <= REPEATS and sum(own[1:]) < ENOUGH):
         own.append(rollout(contestant, env_id, env_kwargs, recording, seed).seconds)
         bare.append(_bare(env_id, env_kwargs, recording))
     return min(own) / min(bare)
