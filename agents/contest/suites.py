@@ -95,7 +95,7 @@ SUITES = {
     ),
     "radar-10hz": Suite(
         1, "974b688dfac24fe0", "kfenv/RadarTracking-v0",
-        {"rate": 10.0, "faults": "random"}, RADAR_CASES,
+        {"rate": 10.0, "faults": "random"}, RADAR_CASES, tuning_episodes=16, tuning_trials=12,
     ),
     "radar-validation": Suite(
         1, "83f46af7512eca54", "kfenv/RadarValidation-v0", {"rate": 2.0, "faults": "random"},
@@ -110,6 +110,7 @@ SUITES = {
                 "the published case at 10 Hz", {"faults": "paper", "rate": 10.0}
             ),
         },
+        tuning_trials=20,
     ),
     "bistatic": Suite(
         1, "fd7344f21a6341d9", "kfenv/BistaticTracking-v0", {"faults": "random"},
@@ -146,7 +147,7 @@ SUITES = {
             ),
             "published": Case("the published case", {"faults": "paper"}, 100),
         },
-        episodes=200,
+        episodes=200, tuning_episodes=16, tuning_trials=12,
     ),
     "ins-gnss": Suite(
         1, "983283a3c3841ae3", "kfenv/InsGnss-v0", {"faults": "random"},
@@ -166,7 +167,7 @@ SUITES = {
             ),
             "published": Case("the published case", {"faults": "paper"}, 60),
         },
-        episodes=100, tuning_episodes=16, tuning_trials=30,
+        episodes=100, tuning_episodes=16, tuning_trials=8,
     ),
 }  # fmt: skip
 
