@@ -5,10 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+LISTED = 12  # names that still make a sentence
+
 
 def unknown(what: str, name: object, known: Iterable[str]) -> str:
-    """A sentence that names the culprit, the nearest known name and all known ones."""
+    """A sentence that names the culprit, the nearest known name, and all known or those alike."""
     known = list(known)
     close = get_close_matches(str(name), known, n=1, cutoff=0.5)
     hint = f" Did you mean {close[0]!r}?" if close else ""
-    return f"Unknown {what} {name!r}.{hint} Known: {', '.join(known)}."
+    return f"Unknown {what} {name!r}.{hint} Known: {_listed(str(name), known)}."
+
+
+def _listed(name: str, known: list[str]) -> str:
+    """All known names, or of many the most alike."""
+    if len(known) <= LISTED:
+        return ", ".join(known)
+    alike = get_close_matches(name, known, n=LISTED, cutoff=0.0)
+    return f"{', '.join(alike)} and {len(known) - LISTED} others"

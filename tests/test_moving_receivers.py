@@ -5,7 +5,10 @@ from dataclasses import replace
 import gymnasium as gym
 import numpy as np
 import pytest
+from kfenv.agents.contest import figures
+from kfenv.agents.contest.evaluation import Contest, evaluate
 from moving_receivers import BIAS, START, drive, write_truth
+from pymap3d import ecef2geodetic, uvw2enu
 from rinex_files import FOLDER, header_line, needs_rinex
 from scipy.linalg import expm
 
@@ -260,6 +263,33 @@ def test_the_scenario_takes_a_truth_and_a_motion_that_fits(driven, tmp_path):
     late.write_text("\n".join(lines[:1] + lines[-40:]))
     with pytest.raises(ValueError, match=r"no window of 30 s .* truth is known; give a longer"):
         GnssTracking(rinex=[*files[:2], str(late)], duration=30.0)
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_contest_draws_a_map_of_the_first_window(driven, tmp_path, monkeypatch, told):
+    """Tracks and truth lie on the street that was driven, in metres of the same length."""
+    simulated, truth, log = driven
+    files = [str(simulated.observed), str(simulated.broadcast), str(truth)]
+    kwargs = {"rinex": files} if told else {"rinex": files[:2], "moving": True}
+    contest = Contest("kfenv/GnssTracking-v0", kwargs | {"duration": 30.0}, ("huber-gate",), 2, 0,
+                      tuning_trials=0)  # fmt: skip
+    results = evaluate(contest, tmp_path, processes=1)
+    drawn = {}
+    monkeypatch.setattr(figures, "save", lambda figure, path: drawn.update({path.name: figure}))
+    assert figures.draw_contest(contest, results, tmp_path)[-1] == tmp_path / "map.png"
+    [axes] = drawn["map.png"].axes
+    assert axes.get_aspect() == 1.0 and axes.get_xlabel() == "east, m"
+    begin = log.row[log.starts(30.0, "test")[0]]
+    street = simulated.position[begin : begin + 31]
+    *around, _ = ecef2geodetic(*street[0])
+    east, north, _ = uvw2enu(*(street - street[0]).T, *around)
+    street = np.stack([east, north], axis=-1)
+    lines = {line.get_label(): np.array(line.get_data()).T for line in axes.lines}
+    assert list(lines) == ["fixed", "huber-gate", "truth" if told else "withheld fixes"]
+    assert len(lines["fixed"]) >= 30 and np.ptp(street, axis=0).max() > 100.0
+    for track in lines.values():
+        away = np.linalg.norm(track[:, None] - street, axis=-1).min(axis=1)
+        assert len(track) >= 5 and away.max() < 15.0
 
 
 @pytest.mark.parametrize(

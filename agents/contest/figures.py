@@ -8,12 +8,17 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from kfenv.scenarios.recording import Recording
 
 from ..contestants.registry import make_agent
 from ..plotting import COLOURS, clean, save, shade
 from .evaluation import Contest
 from .rollout import draw_episodes, rollout, scenario_and_options
-from .scores import read_scores, read_values
+from .scores import Scores, read_scores, read_values
+
+Array = NDArray[np.float64]
 
 
 def draw_contest(contest: Contest, results: Sequence[dict[str, Any]], output: Path) -> list[Path]:
@@ -22,6 +27,10 @@ def draw_contest(contest: Contest, results: Sequence[dict[str, Any]], output: Pa
     save(_distributions(results, output), paths[0])
     save(_improvements(results), paths[1])
     save(_episode(contest, results, output), paths[2])
+    window = _recorded(contest)
+    if window is not None:
+        paths.append(output / "map.png")
+        save(_map(contest, results, output, window), paths[3])
     return paths
 
 
@@ -92,9 +101,7 @@ def _episode(contest: Contest, results: Sequence[dict[str, Any]], output: Path) 
     groups, channels = len(scenario.sensor.groups), len(scenario.sensor.channels)
     noise = slice(2, 2 + groups), slice(-channels, None)
     for result in _shown(results):
-        agent = make_agent(result["given_as"])
-        agent = agent.with_values(read_values(output, result["given_as"]))
-        scores = rollout(agent, *contest.expected_place, recording, contest.seed, True)
+        scores = _traced(contest, result, output, recording)
         time = scores.time
         style = {"color": _colour(result, results), "lw": 1.3, "label": result["agent"]}
         top.plot(time, scores.error[:, 0], **style)
@@ -111,6 +118,52 @@ def _episode(contest: Contest, results: Sequence[dict[str, Any]], output: Path) 
     top.legend(frameon=False, ncols=3, fontsize=9)
     bottom.set_xlabel("time, s")
     return figure
+
+
+def _traced(contest: Contest, result: dict[str, Any], output: Path, recording: Recording) -> Scores:
+    """A recording once more for an agent, with the parameters that it was scored with."""
+    agent = make_agent(result["given_as"])
+    agent = agent.with_values(read_values(output, result["given_as"]))
+    return rollout(agent, *contest.expected_place, recording, contest.seed, trace=True)
+
+
+def _recorded(contest: Contest) -> Recording | None:
+    """The first window of a real log, None where episodes are simulated."""
+    scenario, _ = scenario_and_options(contest.env_id, contest.env_kwargs)
+    return scenario.recorded(contest.split, 1)
+
+
+def _map(
+    contest: Contest, results: Sequence[dict[str, Any]], output: Path, window: Recording
+) -> Figure:
+    """Estimated tracks over a real log's window, east and north of where it begins."""
+    scenario, _ = scenario_and_options(contest.env_id, contest.env_kwargs)
+    place = list(scenario.motion.position)
+    origin, rotation = scenario.local_frame(window.mean[0, place])
+    truth = window.truth[0][:, place]
+    figure = Figure((8.0, 6.4), layout="constrained")
+    axes = figure.subplots()
+    for result in _shown(results):
+        scores = _traced(contest, result, output, window)
+        track = truth[np.searchsorted(window.time, scores.time)] + scores.off[:, 0]
+        axes.plot(*_east_north(track, origin, rotation), color=_colour(result, results), lw=1.3,
+                  label=result["agent"])  # fmt: skip
+    known = slice(None) if window.scored is None else window.scored[0] > 0.0
+    axes.plot(*_east_north(truth[known], origin, rotation), ".", color=COLOURS[7], ms=5, zorder=1,
+              label="truth" if window.scored is None else "withheld fixes")  # fmt: skip
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("east, m")
+    axes.set_ylabel("north, m")
+    axes.set_title(f"{contest.env_id}: the log's first window for the {contest.split}", loc="left")
+    axes.legend(frameon=False, fontsize=9)
+    clean(axes)
+    return figure
+
+
+def _east_north(position: Array, origin: Array, rotation: Array) -> tuple[Array, Array]:
+    """Positions (T, 3) of the state's frame on the map."""
+    east, north, _ = rotation @ (position - origin).T
+    return east, north
 
 
 def _shown(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
