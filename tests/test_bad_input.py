@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from rollouts import TRACKING, VALIDATION, change, draw, every_environment, make, make_vec, zeros
 
+from kfenv.names import unknown
 from kfenv.scenarios.faults import Glint, Jamming, NoiseMisreport, SignalLoss
 from kfenv.scenarios.radar.scenario import Rain, SelfScreeningJammer
 from kfenv.scenarios.recording import Recording, stack
@@ -64,6 +65,14 @@ WRONG = [  # keyword argument of every environment, what must be said of it
     ({"faults": {"jamming": {"factor": [-1.0, 2.0]}}}, "Jamming.factor"),
     ({"faults": {"glint": {"fraction": 1.5}}}, "Glint.fraction"),
 ]
+
+
+def test_of_many_known_names_the_most_alike_are_told():
+    said = unknown("fruit", "aple", ["pear", "apple"])
+    assert said == "Unknown fruit 'aple'. Did you mean 'apple'? Known: pear, apple."
+    said = unknown("fruit", "aple", ["apple", *(f"cherry-{i}" for i in range(40))])
+    assert "Did you mean 'apple'? Known: apple, cherry" in said and len(said) < 250
+    assert said.count("cherry") == 11 and said.endswith(" and 29 others.")
 
 
 @every_environment
@@ -260,8 +269,8 @@ def test_recordings_that_cannot_be_stacked():
     one, other = draw(TRACKING, [0]), draw(TRACKING, [0], duration=5.0)
     assert "different times" in complaint(ValueError, stack, [one, other])
     assert "at least one" in complaint(ValueError, stack, [])
-    unknown = change(one, truth=None)
-    for pair in ([one, unknown], [unknown, one]):
+    untold = change(one, truth=None)
+    for pair in ([one, untold], [untold, one]):
         assert "truth" in complaint(ValueError, stack, pair)
 
 
