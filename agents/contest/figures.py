@@ -174,21 +174,51 @@ def _shown(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def draw_error_against_cost(tested: Sequence[dict[str, Any]], path: Path) -> None:
-    """Write a figure of error against cost; hollow is who is shown what nobody knows."""
+    """Write a figure of error against cost; hollow is who is shown what nobody knows.
+
+    Who is worse than twice `fixed` is left out, and named under the figure.
+    """
     figure = Figure((8.0, 5.4), layout="constrained")
     axes = figure.subplots()
-    for result in tested:
-        if result["cost"] is None:
-            continue
-        place = result["cost"], result["rmse_geometric_mean"]
-        face = "white" if "clairvoyant" in result["agent"] else COLOURS[4]
+    known = [result for result in tested if result["cost"] is not None]
+    most = 2.0 * max(
+        (r["rmse_geometric_mean"] for r in known if r["agent"] == "fixed"), default=1e9
+    )
+    places = {
+        result["agent"]: (result["cost"], result["rmse_geometric_mean"])
+        for result in known
+        if result["rmse_geometric_mean"] <= most
+    }
+    for agent, place in places.items():
+        face = "white" if "clairvoyant" in agent else COLOURS[4]
         axes.plot(*place, "o", color=COLOURS[4], markerfacecolor=face)
-        axes.annotate(result["agent"], place, (5, 3), textcoords="offset points", fontsize=8)
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.set_xlabel("CPU time of filter and agent, the bare engine's predict and update = 1")
+    out = [result["agent"] for result in known if result["agent"] not in places]
+    beside = f"\nbeyond the figure: {', '.join(out)}" if out else ""
+    axes.set_xlabel(
+        f"CPU time of filter and agent, the bare engine's predict and update = 1{beside}"
+    )
     axes.set_ylabel("geometric mean of the position RMSE, m")
     episodes = tested[0]["episodes"]
     axes.set_title(f"{tested[0]['suite']}: {episodes} unseen episodes", loc="left")
     clean(axes)
+    _name(axes, places)
     save(figure, path)
+
+
+def _name(axes: Any, places: dict[str, tuple[float, float]]) -> None:
+    """Write names beside their points, each shifted upwards until it covers no other."""
+    axes.figure.draw_without_rendering()
+    scale, taken = axes.figure.dpi / 72.0, []
+    for name, place in sorted(places.items(), key=lambda item: item[1][1]):
+        x, y = axes.transData.transform(place) / scale
+        width, up = 4.7 * len(name) + 8.0, 2.0
+        while any(abs(y + up - b) < 9.0 and x < right and x + width > left
+                  for left, right, b in taken):  # fmt: skip
+            up += 1.0
+        taken.append((x, x + width, y + up))
+        line = {"arrowstyle": "-", "lw": 0.4, "color": "#999999"} if up > 8.0 else None
+        axes.annotate(
+            name, place, (6, up - 2.0), textcoords="offset points", fontsize=8, arrowprops=line
+        )

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..files import read_json, written_whole
 from . import formatting
-from .suites import IN_DISTRIBUTION, find_suite
+from .suites import FLIGHT, IN_DISTRIBUTION, find_suite
 
 Results = list[dict[str, Any]]
 
@@ -63,7 +63,7 @@ def section(results: Results, folder: Path, page: Path) -> str:
         *_main_table(tested), "",
         "Geometric means in every case, m, and in brackets the tracks lost, %:", "",
         *_case_table(results, tested), "",
-        *_commands(tested, folder, page), "",
+        *_commands(results, tested, folder, page), "",
     ])  # fmt: skip
 
 
@@ -132,11 +132,12 @@ def _error(result: dict[str, Any] | None) -> str:
     return formatting.short(result["rmse_geometric_mean"]) + lost
 
 
-def _commands(tested: Results, folder: Path, page: Path) -> list[str]:
+def _commands(results: Results, tested: Results, folder: Path, page: Path) -> list[str]:
     given = sorted(result["given_as"] for result in tested)
     first = tested[0]
     options = [f"--agent {name}" for name in given]
     options += [f"--against {first['against']}"] if "against" in first else []
+    options += ["--tracks FOLDER"] if any(r["what"] == FLIGHT for r in results) else []
     options += [f"--episodes {n}" for n in [first["episodes_at_most"]] if n is not None]
     lines, line = [], f"kfenv suite {first['suite']} --output {folder}"
     for option in options:

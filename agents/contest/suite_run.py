@@ -18,9 +18,8 @@ from ..files import clear_partial, is_free, read_json, write_json
 from .evaluation import Contest, evaluate
 from .recording_hash import recording_hash
 from .rollout import draw_episodes, scenario_and_options
-from .suites import IN_DISTRIBUTION, Case, Suite, find_suite
+from .suites import FLIGHT, IN_DISTRIBUTION, Case, Suite, find_suite
 
-FLIGHT = "a real flight"
 HASHED = 2  # episodes of each case, and of those that agents are tuned on
 
 

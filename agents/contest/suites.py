@@ -14,6 +14,7 @@ from typing import Any
 from kfenv.names import unknown
 
 IN_DISTRIBUTION = "test"
+FLIGHT = "a real flight"  # what a case of one is about
 
 # What the presets "random" stand for, to be changed by parts.
 BURSTS = {"jamming": {}, "signal_loss": {}, "glint": {}, "noise_misreport": {}}
