@@ -145,7 +145,7 @@ def test_the_leaderboard_is_generated(tiny, tmp_path):
     results = json.loads((folder / "results.json").read_text())
     for agent in ("fixed", "fixed-tuned", "huber-gate"):
         median = next(r["rmse_median"] for r in results if r["agent"] == agent)
-        assert any(f"| `{agent}` | {median:.3g} (" in line for line in text.splitlines())
+        assert any(f"| `{agent}` | {median:.3g} " in line for line in text.splitlines())
     assert f"kfenv suite tiny --output {folder}" in text and "--against huber-gate" in text
     assert (folder / "error-cost.png").read_bytes().startswith(b"\x89PNG")
 
