@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from kfenv.agents.contest import figures
 from kfenv.agents.contest.evaluation import Contest, evaluate
+from kfenv.agents.contest.rollout import draw_episodes, rollout
+from kfenv.agents.contestants.registry import make_agent
 from moving_receivers import BIAS, START, drive, write_truth
 from pymap3d import ecef2geodetic, uvw2enu
 from rinex_files import FOLDER, header_line, needs_rinex
@@ -246,6 +248,25 @@ def test_a_real_phones_log_is_filtered_with_sane_innovations():
     withheld = recording.scored > 0.0
     away = np.linalg.norm((done.mean - recording.truth)[..., POSITION], axis=-1)[withheld]
     assert withheld.sum() >= 30 and np.median(away) < 10.0
+
+
+@needs_rinex
+@pytest.mark.filterwarnings("ignore:.*ephemerides")
+def test_tuned_to_its_innovations_a_real_log_has_both_kinds_as_told():
+    """Process noise by the NIS of the part to tune on; the error would not tell its scale."""
+    kwargs = {"rinex": list(map(str, BUS)), "moving": True, "duration": 30.0}
+    place = "kfenv/GnssTracking-v0", kwargs
+    windows = {split: draw_episodes(*place, split, 0, 16) for split in ("tuning", "test")}
+
+    def nis(process_noise, split):
+        agent = make_agent("fixed-tuned").with_values({"process_noise": process_noise})
+        return np.nanmean(rollout(agent, *place, windows[split]).nis[:, 1:], axis=0)
+
+    levels = [1.0, 0.2, 0.1, 0.05, 0.02]
+    chosen = min(levels, key=lambda level: np.abs(np.log(nis(level, "tuning"))).sum())
+    assert nis(1.0, "test")[1] < 0.2 and chosen < 0.2  # a bus turns and brakes less than a car
+    found = nis(chosen, "test")
+    assert (found > 0.5).all() and (found < 2.0).all()
 
 
 # ----- the scenario -------------------------------------------------------------------------

@@ -28,7 +28,8 @@ def tune(
     On the logarithms of the parameters: a third of the trials are spread over their
     ranges, the rest are CMA-ES from the best of these and the defaults; where there is
     only one parameter, Brent's bounded search. Both may stop early. The mean log weighs
-    all episodes alike, however large their errors.
+    all episodes alike, however large their errors. An error hardly tells how large covariances
+    are, only their ratios: the NIS of a tuned agent may be far from 1.
 
     Args:
         recording: the tuning episodes.
