@@ -16,7 +16,7 @@ from .training import load_training
 
 RIVALS = (
     "innovation-fading", "huber-gate", "innovation-noise", "pooled-noise", "hmm-turn", "hmm-2q",
-    "clairvoyant", "learned",
+    "clairvoyant", "learned", "learned-small",
 )  # fmt: skip
 TUNING_EPISODES, TUNING_TRIALS = 32, 20
 SHORT = {"units": 32, "episodes": 384, "rounds": 2, "epochs": 8, "tuning_trials": 8}
