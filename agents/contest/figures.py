@@ -27,7 +27,7 @@ def draw_contest(contest: Contest, results: Sequence[dict[str, Any]], output: Pa
     save(_distributions(results, output), paths[0])
     save(_improvements(results), paths[1])
     save(_episode(contest, results, output), paths[2])
-    window = _recorded(contest)
+    window = _widest_window(contest)
     if window is not None:
         paths.append(output / "map.png")
         save(_map(contest, results, output, window), paths[3])
@@ -127,10 +127,14 @@ def _traced(contest: Contest, result: dict[str, Any], output: Path, recording: R
     return rollout(agent, *contest.expected_place, recording, contest.seed, trace=True)
 
 
-def _recorded(contest: Contest) -> Recording | None:
-    """The first window of a real log, None where episodes are simulated."""
+def _widest_window(contest: Contest) -> Recording | None:
+    """Of a real log the window that leads farthest, None where episodes are simulated."""
     scenario, _ = scenario_and_options(contest.env_id, contest.env_kwargs)
-    return scenario.recorded(contest.split, 1)
+    windows = scenario.recorded(contest.split, contest.episodes)
+    if windows is None:
+        return None
+    extent = np.ptp(windows.truth[..., list(scenario.motion.position)], axis=1)
+    return windows[[int(np.argmax(np.linalg.norm(extent, axis=1)))]]
 
 
 def _map(
@@ -154,7 +158,7 @@ def _map(
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("east, m")
     axes.set_ylabel("north, m")
-    axes.set_title(f"{contest.env_id}: the log's first window for the {contest.split}", loc="left")
+    axes.set_title(f"{contest.env_id}: the window that leads farthest", loc="left")
     axes.legend(frameon=False, fontsize=9)
     clean(axes)
     return figure
