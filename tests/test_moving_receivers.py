@@ -264,7 +264,7 @@ def test_tuned_to_its_innovations_a_real_log_has_both_kinds_as_told():
 
     levels = [1.0, 0.2, 0.1, 0.05, 0.02]
     chosen = min(levels, key=lambda level: np.abs(np.log(nis(level, "tuning"))).sum())
-    assert nis(1.0, "test")[1] < 0.2 and chosen < 0.2  # a bus turns and brakes less than a car
+    assert nis(1.0, "test")[1] < 0.2 and chosen < 0.2  # the bus stands: 0.1 m/s
     found = nis(chosen, "test")
     assert (found > 0.5).all() and (found < 2.0).all()
 
