@@ -124,6 +124,24 @@ def test_biases_of_a_simulated_unit_are_states_and_found():
 # ----- what a log teaches ---------------------------------------------------------------
 
 
+def test_the_knob_of_the_biases_is_another_drift_and_nothing_else():
+    keywords = {"biases": True, "duration": 4.0, "faults": "none"}
+    drift = InsGnss(biases=True).bias_drift
+    turned = gym.make(INERTIAL, **keywords, bias_drift=drift).unwrapped
+    told = gym.make(INERTIAL, **keywords, bias_drift=tuple(3.0 * d for d in drift)).unwrapped
+    names = [knob.name for knob in turned.core.knobs]
+    action = np.zeros(len(names))
+    action[names.index("bias_process_noise")] = np.log(9.0) / np.log(1e4)  # of the variance
+    for env in (turned, told):
+        env.reset(seed=3)
+    for _ in range(30):
+        ours, theirs = (env.step(a)[4] for env, a in ((turned, action), (told, 0.0 * action)))
+    np.testing.assert_allclose(ours["estimate"], theirs["estimate"], rtol=1e-9, atol=1e-9)
+    assert turned.core.factors[0, 1] == 1.0
+    plain = gym.make(INERTIAL).unwrapped.core.knobs
+    assert "bias_process_noise" not in [knob.name for knob in plain]
+
+
 def test_a_window_begins_with_what_the_log_before_it_taught(tmp_path):
     """The unit's own biases, within what the taught covariance allows."""
     log = drive(duration=160.0, rate=20.0, every=4)[0].write(tmp_path)

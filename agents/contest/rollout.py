@@ -206,7 +206,7 @@ def _score(
             squared, nominal, nees_sum, count,
         )  # fmt: skip
         errors.append(error.copy())
-    knobs = len(knobs_of(scenario.sensor.groups))
+    knobs = len(knobs_of(scenario.sensor.groups, state_groups=scenario.motion.groups))
     off = means - truth
     traces = (recording.time, np.array(errors), np.ones((steps, batch, knobs)), off)
     told = _told_nis(history, scenario, recording), seconds

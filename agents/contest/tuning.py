@@ -37,7 +37,8 @@ def tune(
         advance: called after each trial.
     """
     scenario, options = scenario_and_options(env_id, env_kwargs)
-    knobs = choose_knobs(None, scenario.sensor.groups, options.mixture)
+    own = scenario.motion.groups
+    knobs = choose_knobs(None, scenario.sensor.groups, options.mixture, state_groups=own)
     parameters = agent.tunable(scenario, knobs)
     trials *= len(parameters)
     if trials < 1:

@@ -16,6 +16,7 @@ from kfenv.envs.channels import Channels
 from kfenv.envs.knobs import choose_knobs, knobs_of, knobs_of_channels
 from kfenv.envs.memory import Memory
 from kfenv.envs.options import ENGINE, FULL, GAUSSIAN_SUMS, Options
+from kfenv.envs.state_knobs import places_of_states, turn_states
 from kfenv.filters.engine import Engine
 from kfenv.filters.protocol import Filter, Knobs, Measurement
 from kfenv.filters.results import Prediction, Update
@@ -84,12 +85,15 @@ class Core:
 
     def _prepare_knobs(self, sensor: Sensor) -> None:
         options, names = self.options, [channel.name for channel in sensor.channels]
-        shared = knobs_of(sensor.groups, options.mixture, options.most_fading)
+        motion = self.scenario.motion
+        shared = knobs_of(sensor.groups, options.mixture, options.most_fading, motion.groups)
+        self._state_knobs = places_of_states(motion, sensor.groups)
         self._outlier_knob, self._channel_knobs = len(shared) - 1, slice(len(shared), None)
         self._all_knobs = (*shared, *knobs_of_channels(names))
         self.knobs = choose_knobs(
-            options.actions, sensor.groups, options.mixture, names, options.most_fading
-        )
+            options.actions, sensor.groups, options.mixture, names, options.most_fading,
+            motion.groups,
+        )  # fmt: skip
         self.knob_place = np.array([self._all_knobs.index(knob) for knob in self.knobs])
         self._log_low = np.log([knob.low for knob in self.knobs])
         self._log_high = np.log([knob.high for knob in self.knobs])
@@ -231,7 +235,8 @@ class Core:
         due = self.index % self.scenario.steps_per_measurement == 0
         knobs = Knobs(np.where(due, self.factors[:, 0], 1.0), self.factors[:, 1].copy())
         outlier_odds = (self.factors[:, self._outlier_knob].copy(),) if self.options.mixture else ()
-        result = self.filter.update(self._prediction, knobs, told, work, *outlier_odds)
+        prediction = turn_states(self._prediction, self.factors, self._state_knobs)
+        result = self.filter.update(prediction, knobs, told, work, *outlier_odds)
         self._update = _merge(self._update, result, active)
         np.copyto(self._scored, self.index, where=active)
         np.copyto(self.status, work, where=active)

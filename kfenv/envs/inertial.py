@@ -87,7 +87,8 @@ class InsGnssEnv(TrackingEnv):
       the part. With other ``faults`` such windows do not overlap, and agents are tuned on drawn
       ones.
     - ``biases``: whether the state holds the biases of accelerometers and gyroscopes too, 15
-      in all. Default: with a ``log`` yes, otherwise no.
+      in all. Their process noise has a knob of its own, ``"bias_process_noise"``, on top of that
+      of all states. Default: with a ``log`` yes, otherwise no.
     - ``bias_drift``: what the filter believes of them: standard deviations that white noise
       would add in a second, m/s^2 and deg/s, default {scenario.bias_drift}.
     - ``bias_time``: their correlation times, s, default {scenario.bias_time}.

@@ -24,8 +24,9 @@ class Knob:
     and exactly 1 at zero.
 
     Attributes:
-        name: ``"fading"``, ``"process_noise"``, ``"<group>_noise"``, ``"outlier_weight"`` or that
-            of a channel.
+        name: ``"fading"``, ``"process_noise"``, ``"<group>_noise"``,
+            ``"<group>_process_noise"`` of a group of states, ``"outlier_weight"`` or that of a
+            channel.
         low, high: the factors at -1 and 1, 0 < low < 1 < high.
     """
 
@@ -45,17 +46,24 @@ OUTLIER_WEIGHT = Knob("outlier_weight", 1e-3, 1e3)
 
 
 def knobs_of(
-    groups: Sequence[str], mixture: bool = False, most_fading: float = MOST_FADING
+    groups: Sequence[str],
+    mixture: bool = False,
+    most_fading: float = MOST_FADING,
+    state_groups: Sequence[str] = (),
 ) -> tuple[Knob, ...]:
     """The knobs of a filter whose sensor has these channel groups, but for single channels'.
 
     Args:
+        state_groups: of the motion; such a knob multiplies the states' process noise on top of
+            the one of all states.
         mixture: whether it is a Gaussian sum, whose outlier weight is the last knob.
         most_fading: upper end of the fading knob.
     """
     noise = tuple(Knob(f"{group}_noise", *NOISE_RANGE) for group in groups)
     fading = Knob(FADING, LEAST_FADING, most_fading)
-    return (fading, PROCESS_NOISE, *noise, *((OUTLIER_WEIGHT,) if mixture else ()))
+    low, high = PROCESS_NOISE.low, PROCESS_NOISE.high
+    states = tuple(Knob(f"{group}_{PROCESS_NOISE.name}", low, high) for group in state_groups)
+    return (fading, PROCESS_NOISE, *noise, *states, *((OUTLIER_WEIGHT,) if mixture else ()))
 
 
 def knobs_of_channels(channels: Sequence[str]) -> tuple[Knob, ...]:
@@ -69,19 +77,20 @@ def choose_knobs(
     mixture: bool = False,
     channels: Sequence[str] = (),
     most_fading: float = MOST_FADING,
+    state_groups: Sequence[str] = (),
 ) -> tuple[Knob, ...]:
     """The knobs that an environment exposes, in the order of `knobs_of`, then of the channels.
 
     Args:
         names: knob names, ``"measurement_noise"`` standing for all groups and
             ``"channel_noise"`` for all channels; None for all of `knobs_of`.
-        groups, mixture, most_fading: as in `knobs_of`.
+        groups, mixture, most_fading, state_groups: as in `knobs_of`.
         channels: names of the channels.
 
     Raises:
         ValueError: for an unknown name, or if none is left.
     """
-    knobs = knobs_of(groups, mixture, most_fading)
+    knobs = knobs_of(groups, mixture, most_fading, state_groups)
     if names is None:
         return knobs
     if isinstance(names, str):

@@ -113,7 +113,7 @@ def info(scenario: Any) -> str:
 
 def action_space(scenario: Any) -> str:
     """The knobs."""
-    knobs = knobs_of(scenario.sensor.groups)
+    knobs = knobs_of(scenario.sensor.groups, state_groups=scenario.motion.groups)
     return paragraphs(
         f"""
         ``Box(-1, 1, ({len(knobs)},), float32)``, one component a per knob, less where ``actions``
@@ -136,6 +136,7 @@ def _knob_row(knob: Knob) -> tuple[str, str, str]:
     meaning = {
         FADING: "multiplies the propagated covariance, before its noise",
         PROCESS_NOISE.name: "multiplies the covariance of the process noise",
+        f"bias_{PROCESS_NOISE.name}": "multiplies that of the biases besides",
     }.get(knob.name, f"multiplies the standard deviation of the {knob.name.replace('_', ' ')}")
     return knob.name, _range(knob), meaning
 

@@ -15,7 +15,8 @@ class Component:
     Attributes:
         name: what it is, e.g. ``"x"`` or ``"azimuth"``.
         unit: its SI unit, e.g. ``"m"`` or ``"rad"``.
-        group: channels of one group share a noise knob; empty for states.
+        group: channels of one group share a noise knob; states of one share a knob of their
+            process noise, and those without a group have none of their own.
         angle: whether differences of it are wrapped to (-pi, pi].
     """
 
@@ -57,6 +58,11 @@ class Motion:
     noise_pattern: tuple[tuple[int, int], ...]
     build: Callable[[ModuleType], MotionFunctions]
     inputs: tuple[str, ...] = ()
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """The groups of states whose process noise has a knob of its own."""
+        return tuple(dict.fromkeys(state.group for state in self.states if state.group))
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,11 @@ from kfenv.models.rotations import build_rotations
 
 Array = NDArray[np.float64]
 
+BIAS = "bias"  # the group of states whose process noise has a knob of its own
 STATES = (
     *strapdown.STATES,
-    *(Component(f"accelerometer bias {axis}", "m/s^2") for axis in "xyz"),
-    *(Component(f"gyroscope bias {axis}", "rad/s") for axis in "xyz"),
+    *(Component(f"accelerometer bias {axis}", "m/s^2", BIAS) for axis in "xyz"),
+    *(Component(f"gyroscope bias {axis}", "rad/s", BIAS) for axis in "xyz"),
 )
 INPUTS = (*strapdown.INPUTS, "gravity", "latitude", "height")
 NOISE_PATTERN = tuple((i, i) for i in range(len(STATES)))

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from kfenv.envs.state_knobs import places_of_states
 from kfenv.scenarios.recording import Recording
 
 from ..networks import RecurrentNetwork
@@ -56,6 +57,7 @@ class Refinery:
         self._consistency, self._largest = consistency, largest_error
         self._position = list(motion.position)
         self._group = torch.tensor(sensor.group_of_channel)
+        self._states = places_of_states(motion, sensor.groups)
 
     def loss(self, network: RecurrentNetwork, chunk: Chunk) -> torch.Tensor:
         """Mean over the chunk's instants of the robust log of the squared position error.
@@ -104,8 +106,9 @@ class Refinery:
             due = i % core.scenario.steps_per_measurement == 0
             fading = factors[decision, :, 0] if due else torch.ones(len(mean), dtype=mean.dtype)
             posterior = self.filter.update(
-                predicted, fading, factors[decision, :, 1], series.sensor_inputs[:, i],
-                series.measurement[:, i], series.noise[:, i] * noise[decision],
+                self._turned(predicted, factors[decision]), fading, factors[decision, :, 1],
+                series.sensor_inputs[:, i], series.measurement[:, i],
+                series.noise[:, i] * noise[decision],
             )  # fmt: skip
             alive = alive & ~posterior.failed
             off = (posterior.mean - series.truth[:, i])[:, self._position]
@@ -120,6 +123,19 @@ class Refinery:
             )  # fmt: skip
             alive = alive & ~predicted.failed
         return torch.stack(errors), torch.stack(consistency), torch.stack(counts)
+
+    def _turned(self, predicted: Predicted, factors: torch.Tensor) -> Predicted:
+        """See `kfenv.envs.state_knobs.turn_states`."""
+        if not self._states:
+            return predicted
+        columns = [
+            factors[:, self._states[i]].sqrt() if i in self._states else torch.ones_like(column)
+            for i, column in enumerate(predicted.mean.unbind(1))
+        ]
+        deviation = torch.stack(columns, dim=1)
+        return predicted._replace(
+            noise=predicted.noise * deviation[:, :, None] * deviation[:, None, :]
+        )
 
     def _nees(self, off: torch.Tensor, covariance: torch.Tensor) -> torch.Tensor:
         if not self._consistency:
