@@ -25,7 +25,7 @@ SHORT = {
         "assert all(image.startswith(b'\\x89PNG') for image in figures.values())",
     ),
     "when_fading_helps": (
-        "RUNS, RATE = 4, 20.0",
+        "RUNS, RATE = 4, 10.0",
         # SPEC 6
         "assert np.isclose(at_20['plain'], 0.5) and np.isclose(at_20['fading'], 0.998, atol=1e-3)\n"
         "assert at_20['Gaussian sum, fading, robust V'] < 0.01\n"
