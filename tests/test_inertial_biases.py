@@ -125,7 +125,7 @@ def test_biases_of_a_simulated_unit_are_states_and_found():
 
 
 def test_the_knob_of_the_biases_is_another_drift_and_nothing_else():
-    keywords = {"biases": True, "duration": 4.0, "faults": "none"}
+    keywords = {"biases": True, "duration": 4.0, "faults": "none", "filter": "srckf-joseph-exact"}
     drift = InsGnss(biases=True).bias_drift
     turned = gym.make(INERTIAL, **keywords, bias_drift=drift).unwrapped
     told = gym.make(INERTIAL, **keywords, bias_drift=tuple(3.0 * d for d in drift)).unwrapped

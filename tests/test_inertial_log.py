@@ -99,7 +99,7 @@ def test_the_parts_do_not_overlap(paths):
 def test_it_runs_without_attitude_and_scores_withheld_fixes(paths):
     env = gym.make(INERTIAL, log=paths[:2], **GOOD_UNIT).unwrapped
     assert env.scenario.sensor.groups == ("position", "velocity")
-    assert env.action_space.shape == (4,) and env.core.interval == 20
+    assert env.action_space.shape == (5,) and env.core.interval == 20
     recording = env.scenario.sample([np.random.default_rng(0)])
     ((label, start, stop),) = recording.faults[0]
     assert label == "signal loss" and 5.0 <= stop - start <= 15.0
@@ -107,7 +107,7 @@ def test_it_runs_without_attitude_and_scores_withheld_fixes(paths):
     scored = recording.scored[0] == 1.0
     assert not scored[~inside].any() and scored.sum() == pytest.approx(5 * (stop - start), abs=1.5)
     assert np.isnan(recording.measurement[0][scored]).all()
-    heard = play(env, np.zeros((999, 4)), seed=0)
+    heard = play(env, np.zeros((999, 5)), seed=0)
     assert len(heard) == 1 + 201 and heard[-1][3]
     rewards = np.array([step[1] for step in heard[1:]])
     told = np.array([step[4].get("position_error", np.nan) for step in heard[1:]])
@@ -116,7 +116,7 @@ def test_it_runs_without_attitude_and_scores_withheld_fixes(paths):
     assert rewards.sum() == pytest.approx(-rmse / 20.0)
     assert 20 < (rewards < 0.0).sum() < 80 and rmse < 20.0
     twin = pickle.loads(pickle.dumps(gym.make(INERTIAL, log=paths[:2], **GOOD_UNIT)))
-    assert_same(heard[:9], play(twin.unwrapped, np.zeros((8, 4)), seed=0))
+    assert_same(heard[:9], play(twin.unwrapped, np.zeros((8, 5)), seed=0))
 
 
 def test_errors_are_distances_to_the_withheld_fixes(simulated, paths):
@@ -127,7 +127,7 @@ def test_errors_are_distances_to_the_withheld_fixes(simulated, paths):
         env = gym.make(INERTIAL, log=files, **GOOD_UNIT).unwrapped
         recording = scenario.recorded("test", 3)
         env = gym.make(INERTIAL, log=files, recording=recording[[0]], **GOOD_UNIT).unwrapped
-        play(env, np.zeros((999, 4)), seed=0)
+        play(env, np.zeros((999, 5)), seed=0)
         scored = recording.scored_instants[0]
         assert env.core.total_scored[0] == scored
         scores[len(files)] = np.sqrt(env.core.total_squared_error[0] / scored)
@@ -145,7 +145,7 @@ def test_the_same_seed_gives_the_same_bits_in_a_vector(paths):
     observation, _ = vector.reset(seed=5)
     for i in range(3):
         np.testing.assert_array_equal(observation[i], single.reset(seed=5 + i)[0])
-    for action in random_actions((3, 4), 5):
+    for action in random_actions((3, 5), 5):
         assert vector.observation_space.contains(vector.step(action)[0])
 
 
@@ -162,7 +162,7 @@ def test_a_log_is_drawn(paths):
     env.reset(seed=0)
     first = env.render()
     for _ in range(60):
-        env.step(np.zeros(4))
+        env.step(np.zeros(5))
     assert (env.render() != first).any()
 
 

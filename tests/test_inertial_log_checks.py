@@ -83,7 +83,7 @@ def test_fixes_whose_times_jitter_are_pending_at_decisions(simulated, tmp_path, 
     gnss[:, 2] += np.degrees(off * gnss[:, 5] / 6.37e6 / np.cos(np.radians(gnss[:, 1])))
     paths = simulated._replace(gnss=gnss).write(tmp_path)
     env = gym.make(INERTIAL, log=paths, rate=RATE, duration=40.0, faults="none").unwrapped
-    heard = play(env, np.zeros((999, 4)), seed=0)
+    heard = play(env, np.zeros((999, 5)), seed=0)
     pending = [np.isfinite(step[-1]["innovation_variance"]).all() for step in heard[:-1]]
     assert len(heard) == 202 and np.mean(pending[1:]) > 0.99
     errors = [step[-1]["position_error"] for step in heard]

@@ -70,7 +70,7 @@ def test_where_rest_and_motion_shake_alike_it_never_stands(tmp_path):
 def test_each_has_its_noise_knob(log):
     env = gym.make(INERTIAL, log=log, rate=20.0, duration=30.0, constraints=["zero_velocity"])
     names = [knob.name for knob in env.unwrapped.core.knobs]
-    assert names[-1] == "zero_velocity_noise" and len(names) == 5
+    assert names[-2:] == ["zero_velocity_noise", "bias_process_noise"] and len(names) == 6
 
 
 @pytest.mark.parametrize(("keywords", "said"), [
