@@ -27,3 +27,8 @@ def compile_kernels(env_id: str) -> None:
     env = gymnasium.make(env_id, reward="improvement")
     env.reset(seed=0)
     env.step(env.action_space.sample() * 0.0)
+
+
+def pytest_collection_modifyitems(items):
+    """The longest file first, so that no worker is left alone with it at the end."""
+    items.sort(key=lambda item: item.path.name != "test_notebooks.py")
