@@ -13,6 +13,8 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import TypeVar
 
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # of linear algebra
+
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
@@ -69,12 +71,33 @@ def _until_one_dies(
 def _workers(processes: int) -> Iterator[ProcessPoolExecutor]:
     """Worker processes that end at once when they are left, or when this process ends.
 
-    Fresh ones: a forked one would inherit threads of the progress display.
+    Fresh ones: a forked one would inherit threads of the progress display. Each keeps to one
+    core, so that they do not crowd each other and CPU time counts no idle threads.
     """
     context = get_context("spawn")
     theirs, ours = context.Pipe(duplex=False)
-    with theirs, ProcessPoolExecutor(processes, context, _follow, (theirs,)) as pool, ours:
+    with (
+        _told_to_children(dict.fromkeys(THREADS, "1")),
+        theirs,
+        ProcessPoolExecutor(processes, context, _follow, (theirs,)) as pool,
+        ours,
+    ):
         yield pool
+
+
+@contextmanager
+def _told_to_children(variables: dict[str, str]) -> Iterator[None]:
+    """Set environment variables for the processes that begin meanwhile."""
+    former = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in former.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
 
 def _follow(parent: Connection) -> None:

@@ -93,3 +93,13 @@ def runs(process):
         return ") Z " not in Path(f"/proc/{process}/stat").read_text()
     except FileNotFoundError:
         return False
+
+
+def _threads(job):
+    return os.environ.get("OPENBLAS_NUM_THREADS")
+
+
+def test_workers_keep_to_one_core_and_the_parent_is_left_alone(monkeypatch):
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    assert dict(run_jobs(_threads, [1, 2], 2)) == {1: "1", 2: "1"}
+    assert "OPENBLAS_NUM_THREADS" not in os.environ
