@@ -57,7 +57,8 @@ class RadarTrackingEnv(TrackingEnv):
       - ``"none"``.
       {other_faults}
 
-    - ``flights``: how random flights are flown, ``"manoeuvring"`` (default), or ``"smooth"``:
+    - ``flights``: how random flights are flown, ``"manoeuvring"`` (default), ``"gentle"`` (in
+      between) or ``"smooth"``:
       {smooth_flight}.
     - ``track``: {track_file}: by default a random window of it, placed at random before the
       radar.
