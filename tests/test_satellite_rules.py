@@ -117,3 +117,17 @@ def test_satellites_states_against_enumeration():
         wanted /= wanted.sum()
         np.testing.assert_allclose(states[0, 0], wanted, rtol=1e-9, atol=1e-15)
     assert 0.05 < states[0, 0, 0] < 0.95 and states[0, 1, 0] > 0.97
+
+
+def test_what_no_likely_state_explains_leaves_probabilities():
+    """The nearest error may belong to a state that cannot be: of probability zero exactly."""
+    errors = range_errors(GnssTracking())
+    states = np.zeros((1, CHANNELS, len(errors.error)))
+    states[..., -1] = 1.0
+    residual, variance = np.full((1, 2 * CHANNELS), np.nan), np.full((1, 2 * CHANNELS), 0.04)
+    residual[0, :CHANNELS] = np.linspace(-300.0, 6000.0, CHANNELS)
+    residual[0, CHANNELS:] = -33.0
+    for _ in range(3):
+        follow(residual, variance, np.array([1.0]), 0.01, errors, states)
+        np.testing.assert_allclose(states.sum(axis=-1), 1.0)
+    assert (states >= 0.0).all()

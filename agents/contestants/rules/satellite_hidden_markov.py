@@ -157,9 +157,11 @@ def _weigh(state, residual, variance, errors):
         return
     nearest, total = np.inf, 0.0
     for k in range(len(state)):
-        nearest = min(nearest, (residual - errors[k]) ** 2)
+        if state[k] > 0.0:  # what cannot be must not make all that can be vanish
+            nearest = min(nearest, (residual - errors[k]) ** 2)
     for k in range(len(state)):
-        state[k] *= exp(-0.5 * ((residual - errors[k]) ** 2 - nearest) / variance)
-        total += state[k]
+        if state[k] > 0.0:
+            state[k] *= exp(-0.5 * ((residual - errors[k]) ** 2 - nearest) / variance)
+            total += state[k]
     for k in range(len(state)):
         state[k] /= total
