@@ -187,7 +187,7 @@ def test_a_state_without_acceleration_lets_its_velocity_tell():
     scenario = make(INERTIAL).scenario
     n, m = len(scenario.motion.states), len(scenario.sensor.channels)
     for dt in (0.01, 0.1):
-        memory = Memory(scenario, np.zeros(0, np.int64), np.ones(1), 1)
+        memory = Memory(scenario, np.zeros(0, np.int64), 1)
         memory.restart(np.zeros(1, np.int64), np.zeros((1, n)))
         for k in range(round(8.0 / dt)):
             mean = np.zeros((1, n))
@@ -205,7 +205,7 @@ def pending_of(mean, innovation, variance):
 
 def features(memory, pending):
     seen = np.zeros((1, len(memory.feature_names())))
-    memory.observe(pending.mean, np.zeros(1, np.int64), np.ones(1, bool), seen)
+    memory.observe(pending.mean, np.ones(1), np.ones(1, bool), seen)
     return seen
 
 
@@ -310,7 +310,7 @@ def test_a_failed_filter_tells_nothing_and_harms_nobody():
 )  # fmt: skip
 def test_any_innovation_leaves_it_finite(values, variance, noise):
     scenario = RADAR
-    memory = Memory(scenario, np.arange(3), np.ones(1), 1)
+    memory = Memory(scenario, np.arange(3), 1)
     memory.restart(np.zeros(1, np.int64), np.zeros((1, 9)))
     for k in range(len(values) // 3):
         innovation = np.array([values[3 * k : 3 * k + 3]])

@@ -11,8 +11,8 @@ from kfenv.agents.contestants.registry import make_agent
 from kfenv.agents.contestants.rules.fading import InnovationFading, InnovationFadingPrinted
 from rollouts import INERTIAL, TRACKING, assert_same, draw, make, make_vec, zeros
 
-from kfenv.envs.core import make_filter
 from kfenv.envs.knobs import OUTLIER_WEIGHT
+from kfenv.envs.loop import make_filter
 from kfenv.filters.adaptive import ADAPTIVE_DESIGNS, AdaptiveDesign, AdaptiveFilter
 from kfenv.filters.engine import Engine
 from kfenv.filters.fading import Fading

@@ -12,24 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kfenv.envs import rewards, statistics
-from kfenv.envs.channels import Channels
-from kfenv.envs.knobs import choose_knobs, knobs_of, knobs_of_channels
-from kfenv.envs.memory import Memory
-from kfenv.envs.options import ENGINE, FULL, GAUSSIAN_SUMS, Options
-from kfenv.envs.state_knobs import places_of_states, turn_states
-from kfenv.filters.engine import Engine
-from kfenv.filters.protocol import Filter, Knobs, Measurement
-from kfenv.filters.results import Prediction, Update
-from kfenv.models.model import Sensor
+from kfenv.envs.loop import IDLE, Loop
+from kfenv.envs.options import Options
+from kfenv.filters.protocol import Measurement
 from kfenv.scenarios.recording import Recording
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-IDLE = -1
 
-
-class Core:
+class Core(Loop):
     """B filters that replay B episodes, each at its own place in its episode.
 
     Args:
@@ -43,16 +35,9 @@ class Core:
     def __init__(
         self, scenario: Any, options: Options, batch: int, times: Array, has_truth: bool
     ) -> None:
-        self.scenario, self.options, self.batch = scenario, options, batch
+        super().__init__(scenario, options, batch)
         self.time, self.has_truth = times, has_truth
-        motion, sensor = scenario.motion, scenario.sensor
-        self.filter = make_filter(scenario, options)
-        self._position = np.array(motion.position)
-        self._velocity = np.array(motion.velocity)
-        self._group = np.array(sensor.group_of_channel)
-        self.interval = options.decision_interval or scenario.steps_per_measurement
-        self._prepare_knobs(sensor)
-        n, m, steps = len(motion.states), len(sensor.channels), len(times)
+        n, m, steps = len(scenario.motion.states), len(scenario.sensor.channels), len(times)
         inputs = scenario.dimensions
         self._episode = {
             "measurement": np.full((batch, steps, m), np.nan),
@@ -65,45 +50,14 @@ class Core:
             self._episode["scored"] = np.ones((batch, steps))
         self._nominal_error = np.zeros((batch, steps))
         self._dt = np.diff(times, prepend=times[0])
-        self._prediction = Prediction(np.zeros((batch, n)), *np.zeros((2, batch, n, n)))
-        self._pending = _empty_update(batch, n, m)
-        self._update = _empty_update(batch, n, m)
-        self._nominal = Knobs.nominal(batch)
+        self._held = self.interval * np.diff(times, prepend=2.0 * times[0] - times[1])
         self._rows, self._last = np.arange(batch), steps - 1
         self.index = np.zeros(batch, np.int64)
         self._scored = np.zeros(batch, np.int64)
         self.lost = np.zeros(batch, bool)
-        self.status = np.zeros(batch, np.int64)
         self.error, self.nees = np.full((2, batch), np.nan)
         self.total_squared_error, self.total_nees, self.total_scored = np.zeros((3, batch))
         self._to_score, self._cost = np.zeros((2, batch))
-        self._statistics = np.zeros((batch, len(sensor.groups), statistics.COLUMNS))
-        self._since = np.zeros(batch)
-        self._action = np.zeros((batch, len(self.knobs)))
-        self.factors = np.ones((batch, len(self._all_knobs)))
-        self.observation_size = len(self.feature_names())
-
-    def _prepare_knobs(self, sensor: Sensor) -> None:
-        options, names = self.options, [channel.name for channel in sensor.channels]
-        motion = self.scenario.motion
-        shared = knobs_of(sensor.groups, options.mixture, options.most_fading, motion.groups)
-        self._state_knobs = places_of_states(motion, sensor.groups)
-        self._outlier_knob, self._channel_knobs = len(shared) - 1, slice(len(shared), None)
-        self._all_knobs = (*shared, *knobs_of_channels(names))
-        self.knobs = choose_knobs(
-            options.actions, sensor.groups, options.mixture, names, options.most_fading,
-            motion.groups,
-        )  # fmt: skip
-        self.knob_place = np.array([self._all_knobs.index(knob) for knob in self.knobs])
-        self._log_low = np.log([knob.low for knob in self.knobs])
-        self._log_high = np.log([knob.high for knob in self.knobs])
-        single = self.knob_place[self.knob_place >= len(shared)] - len(shared)
-        self._channels = self._memory = None
-        if len(single):
-            self._channels = Channels(self.scenario, single, self.batch, options.kappa)
-        if options.observation == FULL:
-            held = self.interval * np.diff(self.time, prepend=2.0 * self.time[0] - self.time[1])
-            self._memory = Memory(self.scenario, single, held, self.batch)
 
     # ----- episodes -----------------------------------------------------------------
 
@@ -115,23 +69,12 @@ class Core:
         if self.options.reward == rewards.IMPROVEMENT and self.has_truth:
             self._nominal_error[chosen] = self._errors_of_nominal(recording)
         for begins_at_zero in (
-            self.index, self._scored, self.lost, self.status, self._statistics, self._since,
-            self._action, self.total_squared_error, self.total_nees, self.total_scored, self._cost,
+            self.index, self._scored, self.lost, self.total_squared_error, self.total_nees,
+            self.total_scored, self._cost,
         ):  # fmt: skip
             begins_at_zero[chosen] = 0
         self.error[chosen] = self.nees[chosen] = np.nan
-        self._prediction.mean[chosen] = recording.mean
-        self._prediction.root[chosen] = recording.factor
-        self._prediction.noise[chosen] = 0.0
-        self._update.mean[chosen] = recording.mean
-        self._update.factor[chosen] = recording.factor
-        self._update.nis[chosen] = np.nan
-        self._statistics[chosen, :, : len(statistics.WINDOWS)] = 1.0
-        if self._channels is not None:
-            self._channels.restart(chosen)
-        if self._memory is not None:
-            self._memory.restart(chosen, recording.mean)
-        self.factors[chosen] = 1.0
+        self.begin(chosen, recording.mean, recording.factor)
         self._to_score[chosen] = np.maximum(recording.scored_instants, 1.0)
         mask = np.zeros(self.batch, bool)
         mask[chosen] = True
@@ -155,8 +98,7 @@ class Core:
         Returns:
             Reward, terminated and truncated, each (B,); zero and False where not running.
         """
-        statistics.turn_knobs(action, self._log_low, self._log_high, self.knob_place, self.factors)
-        self._action[running] = action[running]
+        self.turn(action, running)
         squared, nominal, count = np.zeros((3, self.batch))
         active, begin = running.copy(), self.index.copy()
         known_error = np.full(self.batch, np.nan)  # the latest of this decision
@@ -228,47 +170,15 @@ class Core:
         return np.minimum(self.index, self._last)
 
     def _correct(self, active: Mask) -> None:
-        arrived = self._measurement()
-        noise = arrived.noise * self.factors[:, 2 + self._group]
-        told = arrived._replace(noise=noise * self.factors[:, self._channel_knobs])
-        work = np.where(active, self.status, IDLE)
         due = self.index % self.scenario.steps_per_measurement == 0
-        knobs = Knobs(np.where(due, self.factors[:, 0], 1.0), self.factors[:, 1].copy())
-        outlier_odds = (self.factors[:, self._outlier_knob].copy(),) if self.options.mixture else ()
-        prediction = turn_states(self._prediction, self.factors, self._state_knobs)
-        result = self.filter.update(prediction, knobs, told, work, *outlier_odds)
-        self._update = _merge(self._update, result, active)
+        self.correct(self._measurement(), due, active)
         np.copyto(self._scored, self.index, where=active)
-        np.copyto(self.status, work, where=active)
-        failed = active & (work != 0)
-        if failed.any():  # its outputs are meaningless
-            self._update.mean[failed] = np.nan
-            self._update.nis[failed] = np.nan
 
     def _predict(self, active: Mask) -> None:
-        work = np.where(active, self.status, IDLE)
-        dt = self._dt[self._instant]
-        result = self.filter.predict(
-            self._update.mean, self._update.factor, self._gather("motion_inputs"), dt, work
-        )
-        self._prediction = _merge(self._prediction, result, active)
-        np.copyto(self.status, work, where=active)
+        self.predict(self._gather("motion_inputs"), self._dt[self._instant], active)
 
     def _look(self, active: Mask) -> None:
-        """Form the pending innovation with nominal knobs and take it into the statistics."""
-        work = np.where(active, self.status, IDLE)
-        arrived = self._measurement()
-        result = self.filter.innovate(self._prediction, self._nominal, arrived, work)
-        self._pending = _merge(self._pending, result, active)
-        np.copyto(self.status, work, where=active)
-        dt = self._dt[self._instant]
-        statistics.collect(
-            self._pending.whitened, self._group, self._statistics, self._since, dt, work
-        )
-        if self._channels is not None:
-            self._channels.collect(self._pending, arrived, work == 0)
-        if self._memory is not None:
-            self._memory.collect(self._pending, arrived, dt, work == 0)
+        self.look(self._measurement(), self._dt[self._instant], active)
 
     def _score(self, active: Mask) -> None:
         if self.has_truth:
@@ -292,37 +202,15 @@ class Core:
 
     def observation(self) -> NDArray[np.float32]:
         """A fresh (B, D) array; see `feature_names`."""
-        out, pends = np.zeros((self.batch, self.observation_size)), self._pends
-        statistics.observe(
-            self._pending.whitened, self._pending.variance, self._gather("noise"),
-            self._pending.factor, self._position, self._velocity, self.scenario.error_scale,
-            self._group, self._statistics, self._since, pends, out,
-        )  # fmt: skip
-        rest = out[:, self._statistics.shape[1] * statistics.PER_GROUP + statistics.COMMON :]
-        if self._channels is not None:
-            told = self._channels.observe(pends)
-            rest[:, : told.shape[1]] = told
-            rest = rest[:, told.shape[1] :]
-        if self._memory is not None:
-            self._memory.observe(self._pending.mean, self._instant, pends, rest)
-        out[:, -len(self.knobs) :] = self._action
-        out[self.status != 0] = 0.0
-        return out.astype(np.float32)
+        return self.observe(self._gather("noise"), self._held[self._instant], self._pends)
 
     def information(self) -> dict[str, Any]:
         """Fresh arrays (B, ...) for the info dictionary; nothing of them is in the observation."""
-        pends = self._pends[:, None]
         info: dict[str, Any] = {
             "time": self.time[self._scored],
-            "estimate": self._update.mean.copy(),
             "position_error": self.error.copy(),
-            "nis": self._update.nis.copy(),
-            "innovation": np.where(pends, self._pending.innovation, np.nan),
-            "innovation_variance": np.where(pends, self._pending.variance, np.nan),
-            "noise": self._gather("noise"),
+            **self.tell(self._gather("noise"), self._pends),
         }
-        if self._channels is not None:
-            info["innovation_covariance"] = pends[..., None] * self._channels.covariance
         if self.has_truth:
             info["nees"] = self.nees.copy()
             info["truth"] = self._episode["truth"][self._rows, self._scored]
@@ -337,62 +225,3 @@ class Core:
         """A fresh (B, 3, 3): the posterior covariance of the position, m^2."""
         rows = self._update.factor[:, self._position]
         return rows @ rows.transpose(0, 2, 1)
-
-    def feature_names(self) -> tuple[str, ...]:
-        """What each component of the observation is."""
-        names = [*statistics.feature_names(self.scenario.sensor.groups)]
-        for part in (self._channels, self._memory):
-            names.extend(part.feature_names() if part is not None else ())
-        names.extend(f"previous action: {knob.name}" for knob in self.knobs)
-        return tuple(names)
-
-
-def make_filter(scenario: Any, options: Options) -> Filter:
-    """The engine, a Gaussian sum, or a square-root filter of the reference tier by name.
-
-    Raises:
-        ValueError: for an unknown name or one without a square-root factor.
-    """
-    motion, sensor = scenario.motion, scenario.sensor
-    if options.filter == ENGINE:
-        return Engine(motion, sensor, options.kappa)
-    from kfenv.filters.adaptive import ADAPTIVE_DESIGNS, build_tier, told_design
-    from kfenv.filters.designs import DESIGNS, find_design
-    from kfenv.filters.reference import ReferenceFilter
-
-    if options.mixture:
-        design = told_design(options.filter, scenario.mixture)
-        return build_tier(motion, sensor, design, compiled=True)
-    if options.filter in ADAPTIVE_DESIGNS and ADAPTIVE_DESIGNS[options.filter].fading:
-        raise ValueError(
-            f"The filter {options.filter!r} fades by itself, and here fading is a knob: choose "
-            f"one of {', '.join(GAUSSIAN_SUMS)} and let an agent turn it."
-        )
-    if options.filter in ADAPTIVE_DESIGNS:
-        raise ValueError(
-            f"The filter {options.filter!r} is a contestant of its own: name it as an agent of "
-            "`kfenv evaluate`, or take 'srckf-joseph-exact', whose knobs can be turned."
-        )
-    if find_design(options.filter).form != "square-root":
-        known = [name for name, design in DESIGNS.items() if design.form == "square-root"]
-        raise ValueError(
-            f"The filter {options.filter!r} carries a covariance, and the knobs need a "
-            f"factor: choose one of {', '.join(known)}."
-        )
-    return ReferenceFilter(motion, sensor, options.filter, kappa=options.kappa)
-
-
-def _empty_update(batch: int, n: int, m: int) -> Update:
-    return Update(
-        np.zeros((batch, n)), np.zeros((batch, n, n)), *np.full((3, batch, m), np.nan),
-        np.full(batch, np.nan), np.zeros(batch),
-    )  # fmt: skip
-
-
-def _merge(old, new, active: Mask):
-    """The new results where active, the old ones elsewhere."""
-    if active.all():
-        return new
-    for before, after in zip(old, new, strict=True):
-        before[active] = after[active]
-    return old

@@ -47,12 +47,11 @@ class Memory:
     Args:
         scenario: gives motion, sensor and scales.
         chosen: (K,) the channels whose knobs are exposed.
-        held: (T,) for how long an action taken at each instant will hold, s.
         batch: B.
     """
 
-    def __init__(self, scenario: Any, chosen: NDArray[np.int64], held: Array, batch: int) -> None:
-        self._scenario, self._chosen, self._held = scenario, chosen, held
+    def __init__(self, scenario: Any, chosen: NDArray[np.int64], batch: int) -> None:
+        self._scenario, self._chosen = scenario, chosen
         motion, sensor = scenario.motion, scenario.sensor
         self._position, self._velocity = np.array(motion.position), np.array(motion.velocity)
         self._acceleration = accelerations(motion)
@@ -91,14 +90,12 @@ class Memory:
         if not len(self._acceleration):
             differentiate(pending.mean, self._velocity, dt, active, self._last, self._change)
 
-    def observe(
-        self, mean: Array, instant: NDArray[np.int64], pends: NDArray[np.bool_], out: Array
-    ) -> None:
+    def observe(self, mean: Array, held: Array, pends: NDArray[np.bool_], out: Array) -> None:
         """Write the features into the first columns of (B, D).
 
         Args:
             mean: (B, n) predicted for the instants.
-            instant: (B,) their indices.
+            held: (B,) for how long an action taken there will hold, s.
             pends: (B,) whether the measurement last collected waits for its update.
             out: (B, D) with a column for each feature at least.
         """
@@ -107,7 +104,7 @@ class Memory:
         turn = (mean, self._acceleration) if known else (self._change, np.arange(3))
         tell_motion(
             mean, self._position, self._velocity, self._origin, *turn,
-            self._scenario.error_scale, self._held[instant], out[:, at:],
+            self._scenario.error_scale, held, out[:, at:],
         )  # fmt: skip
         tell_channels(self._chosen, pends, self._channels, out[:, at + COMMON :])
 

@@ -1,0 +1,255 @@
+"""The loop that an agent closes: filter, statistics of its innovations, observation, knobs.
+
+It knows neither episodes nor truth nor rewards. Whoever replays recordings (`kfenv.envs.core`) or
+hears a sensor hands in what arrives, instant by instant, so both give the same bits.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kfenv.envs import statistics
+from kfenv.envs.channels import Channels
+from kfenv.envs.knobs import choose_knobs, knobs_of, knobs_of_channels
+from kfenv.envs.memory import Memory
+from kfenv.envs.options import ENGINE, FULL, GAUSSIAN_SUMS, Options
+from kfenv.envs.state_knobs import places_of_states, turn_states
+from kfenv.filters.engine import Engine
+from kfenv.filters.protocol import Filter, Knobs, Measurement
+from kfenv.filters.results import Prediction, Update
+from kfenv.models.model import Sensor
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+IDLE = -1
+
+
+class Loop:
+    """B filters in lock-step whose knobs an agent turns.
+
+    At each instant in turn: `look` at what arrived, `observation`, `turn` the knobs if a decision
+    is due, `correct`; then `predict` to the next instant.
+
+    Args:
+        scenario: gives motion, sensor and scales.
+        options: of the environment.
+        batch: B.
+    """
+
+    def __init__(self, scenario: Any, options: Options, batch: int) -> None:
+        self.scenario, self.options, self.batch = scenario, options, batch
+        motion, sensor = scenario.motion, scenario.sensor
+        self.filter = make_filter(scenario, options)
+        self._position = np.array(motion.position)
+        self._velocity = np.array(motion.velocity)
+        self._group = np.array(sensor.group_of_channel)
+        self.interval = options.decision_interval or scenario.steps_per_measurement
+        self._prepare_knobs(sensor)
+        n, m = len(motion.states), len(sensor.channels)
+        self._prediction = Prediction(np.zeros((batch, n)), *np.zeros((2, batch, n, n)))
+        self._pending = _empty_update(batch, n, m)
+        self._update = _empty_update(batch, n, m)
+        self._nominal = Knobs.nominal(batch)
+        self.status = np.zeros(batch, np.int64)
+        self._statistics = np.zeros((batch, len(sensor.groups), statistics.COLUMNS))
+        self._since = np.zeros(batch)
+        self._action = np.zeros((batch, len(self.knobs)))
+        self.factors = np.ones((batch, len(self._all_knobs)))
+        self.observation_size = len(self.feature_names())
+
+    def _prepare_knobs(self, sensor: Sensor) -> None:
+        options, names = self.options, [channel.name for channel in sensor.channels]
+        motion = self.scenario.motion
+        shared = knobs_of(sensor.groups, options.mixture, options.most_fading, motion.groups)
+        self._state_knobs = places_of_states(motion, sensor.groups)
+        self._outlier_knob, self._channel_knobs = len(shared) - 1, slice(len(shared), None)
+        self._all_knobs = (*shared, *knobs_of_channels(names))
+        self.knobs = choose_knobs(
+            options.actions, sensor.groups, options.mixture, names, options.most_fading,
+            motion.groups,
+        )  # fmt: skip
+        self.knob_place = np.array([self._all_knobs.index(knob) for knob in self.knobs])
+        self._log_low = np.log([knob.low for knob in self.knobs])
+        self._log_high = np.log([knob.high for knob in self.knobs])
+        single = self.knob_place[self.knob_place >= len(shared)] - len(shared)
+        self._channels = self._memory = None
+        if len(single):
+            self._channels = Channels(self.scenario, single, self.batch, options.kappa)
+        if options.observation == FULL:
+            self._memory = Memory(self.scenario, single, self.batch)
+
+    def begin(self, chosen: NDArray[np.int64], mean: Array, factor: Array) -> None:
+        """Start anew at the chosen places: initial means (C, n), lower factors (C, n, n).
+
+        What is then looked at is the initial state's measurement, without a prediction.
+        """
+        for begins_at_zero in (self.status, self._statistics, self._since, self._action):
+            begins_at_zero[chosen] = 0
+        self._prediction.mean[chosen] = mean
+        self._prediction.root[chosen] = factor
+        self._prediction.noise[chosen] = 0.0
+        self._update.mean[chosen] = mean
+        self._update.factor[chosen] = factor
+        self._update.nis[chosen] = np.nan
+        self._statistics[chosen, :, : len(statistics.WINDOWS)] = 1.0
+        if self._channels is not None:
+            self._channels.restart(chosen)
+        if self._memory is not None:
+            self._memory.restart(chosen, mean)
+        self.factors[chosen] = 1.0
+
+    def turn(self, action: Array, running: Mask) -> None:
+        """Set the knobs by an action (B, K) of the running filters."""
+        statistics.turn_knobs(action, self._log_low, self._log_high, self.knob_place, self.factors)
+        self._action[running] = action[running]
+
+    def correct(self, arrived: Measurement, due: Mask, active: Mask) -> None:
+        """Update the active filters by what arrived.
+
+        Args:
+            due: (B,) whether the instant is one of the sensor's: fading acts at these alone.
+        """
+        noise = arrived.noise * self.factors[:, 2 + self._group]
+        told = arrived._replace(noise=noise * self.factors[:, self._channel_knobs])
+        work = np.where(active, self.status, IDLE)
+        knobs = Knobs(np.where(due, self.factors[:, 0], 1.0), self.factors[:, 1].copy())
+        outlier_odds = (self.factors[:, self._outlier_knob].copy(),) if self.options.mixture else ()
+        prediction = turn_states(self._prediction, self.factors, self._state_knobs)
+        result = self.filter.update(prediction, knobs, told, work, *outlier_odds)
+        self._update = _merge(self._update, result, active)
+        np.copyto(self.status, work, where=active)
+        failed = active & (work != 0)
+        if failed.any():  # its outputs are meaningless
+            self._update.mean[failed] = np.nan
+            self._update.nis[failed] = np.nan
+
+    def predict(self, inputs: Array, dt: Array, active: Mask) -> None:
+        """Predict the active filters over dt (B,), with inputs of the motion (B, p)."""
+        work = np.where(active, self.status, IDLE)
+        result = self.filter.predict(self._update.mean, self._update.factor, inputs, dt, work)
+        self._prediction = _merge(self._prediction, result, active)
+        np.copyto(self.status, work, where=active)
+
+    def look(self, arrived: Measurement, dt: Array, active: Mask) -> None:
+        """Form the pending innovation with nominal knobs and take it into the statistics.
+
+        Args:
+            dt: (B,) since the instant before, zero at the first one.
+        """
+        work = np.where(active, self.status, IDLE)
+        result = self.filter.innovate(self._prediction, self._nominal, arrived, work)
+        self._pending = _merge(self._pending, result, active)
+        np.copyto(self.status, work, where=active)
+        statistics.collect(
+            self._pending.whitened, self._group, self._statistics, self._since, dt, work
+        )
+        if self._channels is not None:
+            self._channels.collect(self._pending, arrived, work == 0)
+        if self._memory is not None:
+            self._memory.collect(self._pending, arrived, dt, work == 0)
+
+    def observe(self, noise: Array, held: Array, pends: Mask) -> NDArray[np.float32]:
+        """A fresh (B, D) array; see `feature_names`.
+
+        Args:
+            noise: (B, m) deviations that the filter is told of what was looked at.
+            held: (B,) for how long an action taken now will hold, s.
+            pends: (B,) whether what was looked at waits for its update.
+        """
+        out = np.zeros((self.batch, self.observation_size))
+        statistics.observe(
+            self._pending.whitened, self._pending.variance, noise,
+            self._pending.factor, self._position, self._velocity, self.scenario.error_scale,
+            self._group, self._statistics, self._since, pends, out,
+        )  # fmt: skip
+        rest = out[:, self._statistics.shape[1] * statistics.PER_GROUP + statistics.COMMON :]
+        if self._channels is not None:
+            told = self._channels.observe(pends)
+            rest[:, : told.shape[1]] = told
+            rest = rest[:, told.shape[1] :]
+        if self._memory is not None:
+            self._memory.observe(self._pending.mean, held, pends, rest)
+        out[:, -len(self.knobs) :] = self._action
+        out[self.status != 0] = 0.0
+        return out.astype(np.float32)
+
+    def tell(self, noise: Array, pends: Mask) -> dict[str, Any]:
+        """Fresh arrays (B, ...) of the last estimate and of the pending innovation.
+
+        Args:
+            noise, pends: as for `observe`.
+        """
+        pends = pends[:, None]
+        told: dict[str, Any] = {
+            "estimate": self._update.mean.copy(),
+            "nis": self._update.nis.copy(),
+            "innovation": np.where(pends, self._pending.innovation, np.nan),
+            "innovation_variance": np.where(pends, self._pending.variance, np.nan),
+            "noise": noise,
+        }
+        if self._channels is not None:
+            told["innovation_covariance"] = pends[..., None] * self._channels.covariance
+        return told
+
+    def feature_names(self) -> tuple[str, ...]:
+        """What each component of the observation is."""
+        names = [*statistics.feature_names(self.scenario.sensor.groups)]
+        for part in (self._channels, self._memory):
+            names.extend(part.feature_names() if part is not None else ())
+        names.extend(f"previous action: {knob.name}" for knob in self.knobs)
+        return tuple(names)
+
+
+def make_filter(scenario: Any, options: Options) -> Filter:
+    """The engine, a Gaussian sum, or a square-root filter of the reference tier by name.
+
+    Raises:
+        ValueError: for an unknown name or one without a square-root factor.
+    """
+    motion, sensor = scenario.motion, scenario.sensor
+    if options.filter == ENGINE:
+        return Engine(motion, sensor, options.kappa)
+    from kfenv.filters.adaptive import ADAPTIVE_DESIGNS, build_tier, told_design
+    from kfenv.filters.designs import DESIGNS, find_design
+    from kfenv.filters.reference import ReferenceFilter
+
+    if options.mixture:
+        design = told_design(options.filter, scenario.mixture)
+        return build_tier(motion, sensor, design, compiled=True)
+    if options.filter in ADAPTIVE_DESIGNS and ADAPTIVE_DESIGNS[options.filter].fading:
+        raise ValueError(
+            f"The filter {options.filter!r} fades by itself, and here fading is a knob: choose "
+            f"one of {', '.join(GAUSSIAN_SUMS)} and let an agent turn it."
+        )
+    if options.filter in ADAPTIVE_DESIGNS:
+        raise ValueError(
+            f"The filter {options.filter!r} is a contestant of its own: name it as an agent of "
+            "`kfenv evaluate`, or take 'srckf-joseph-exact', whose knobs can be turned."
+        )
+    if find_design(options.filter).form != "square-root":
+        known = [name for name, design in DESIGNS.items() if design.form == "square-root"]
+        raise ValueError(
+            f"The filter {options.filter!r} carries a covariance, and the knobs need a "
+            f"factor: choose one of {', '.join(known)}."
+        )
+    return ReferenceFilter(motion, sensor, options.filter, kappa=options.kappa)
+
+
+def _empty_update(batch: int, n: int, m: int) -> Update:
+    return Update(
+        np.zeros((batch, n)), np.zeros((batch, n, n)), *np.full((3, batch, m), np.nan),
+        np.full(batch, np.nan), np.zeros(batch),
+    )  # fmt: skip
+
+
+def _merge(old, new, active: Mask):
+    """The new results where active, the old ones elsewhere."""
+    if active.all():
+        return new
+    for before, after in zip(old, new, strict=True):
+        before[active] = after[active]
+    return old
