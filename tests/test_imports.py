@@ -28,6 +28,7 @@ MAY_IMPORT = {
     "kfenv.agents.contestants": AGENTS,
     "kfenv.agents.contest": AGENTS | {"kfenv.agents.contestants"},
     "kfenv.agents.learning": AGENTS | {"kfenv.agents.contestants", "kfenv.agents.contest"},
+    "kfenv.agents.deployment": AGENTS | {"kfenv.agents.contestants", "kfenv.agents.contest"},
     "kfenv.agents.reproduction": AGENTS,
 }
 MAY_IMPORT["kfenv.agents.cli"] = AGENTS | set(MAY_IMPORT)

@@ -91,12 +91,12 @@ class Contestant:
         """Who plays in a scenario: itself, unless it stands for several."""
         return self
 
-    def check(self, scenario: Any, options: Options, recording: Recording) -> None:
+    def check(self, scenario: Any, options: Options, recording: Recording | None) -> None:
         """Complain, before a contest begins, if the contestant does not suit it.
 
         Args:
             scenario, options: of the environment.
-            recording: some episode of it.
+            recording: some episode of it; None for agents, where there is none yet.
 
         Raises:
             ValueError: in one sentence.

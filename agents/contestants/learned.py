@@ -12,8 +12,8 @@ import numpy as np
 from gymnasium.envs.registration import load_env_creator
 from numpy.typing import NDArray
 
-from kfenv.envs.core import Core
 from kfenv.envs.knobs import MOST_FADING, Knob
+from kfenv.envs.loop import Loop
 from kfenv.envs.options import SHORT, Options
 from kfenv.scenarios.recording import Recording
 
@@ -60,7 +60,7 @@ class Learned(Agent):
         """Itself: a policy has no parameters."""
         return self
 
-    def check(self, scenario: Any, options: Options, recording: Recording) -> None:
+    def check(self, scenario: Any, options: Options, recording: Recording | None) -> None:
         """See `Contestant.check`.
 
         Raises:
@@ -70,20 +70,20 @@ class Learned(Agent):
         self._check_kind(scenario)
         try:
             options = replace(options, recording=None, **self.own_options)
-            core = Core(scenario, options, 1, recording.time, has_truth=False)
+            loop = Loop(scenario, options, 1)
         except (TypeError, ValueError) as error:
             raise self._refusal(f"its options are refused: {error}") from None
-        self.check_fits(core)
+        self.check_fits(loop)
 
-    def check_fits(self, core: Core) -> None:
-        """Complain if what an environment's core shows and takes is not the policy's.
+    def check_fits(self, loop: Loop) -> None:
+        """Complain if what an environment's loop shows and takes is not the policy's.
 
         Raises:
             ValueError: in one sentence.
         """
-        self._check_kind(core.scenario)
-        policy, knobs = self.policy, _in_words(core.knobs)
-        self._compare("observation", policy.features, policy.observation_size, core.feature_names())
+        self._check_kind(loop.scenario)
+        policy, knobs = self.policy, _in_words(loop.knobs)
+        self._compare("observation", policy.features, policy.observation_size, loop.feature_names())
         self._compare("knobs", _in_words(policy.knobs), policy.action_size, knobs)
 
     def _check_kind(self, scenario: Any) -> None:

@@ -44,7 +44,7 @@ class Pretrained(Agent):
         with as_file(file) as path:
             return Learned(path, self.name)
 
-    def check(self, scenario: Any, options: Options, recording: Recording) -> None:
+    def check(self, scenario: Any, options: Options, recording: Recording | None) -> None:
         """See `Contestant.check`: there must be a policy, and it must fit."""
         self.suited_to(scenario).check(scenario, options, recording)
 

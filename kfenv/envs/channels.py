@@ -78,6 +78,10 @@ class Channels:
         stacked = np.stack(features, axis=-1).reshape(len(now), -1)
         return np.clip(stacked, -BOUND, BOUND)
 
+    def state(self) -> dict[str, Array]:
+        """What is remembered, by name: arrays (B, ...) to be read or set."""
+        return {"channel_mean": self._mean, "channel_square": self._square}
+
     def feature_names(self) -> Sequence[str]:
         """What each of them is."""
         return [f"{name} beside the others: {what}" for name in self._names

@@ -195,6 +195,23 @@ class Loop:
             told["innovation_covariance"] = pends[..., None] * self._channels.covariance
         return told
 
+    @property
+    def latest(self) -> Update:
+        """The last update of each filter."""
+        return self._update
+
+    def state(self) -> dict[str, Array]:
+        """All that an instant leaves to the next, by name: arrays (B, ...) to be read or set."""
+        held = {"mean": self._update.mean, "factor": self._update.factor, "nis": self._update.nis}
+        held |= {f"predicted_{k}": array for k, array in self._prediction._asdict().items()}
+        held |= {
+            "status": self.status, "statistics": self._statistics, "since": self._since,
+            "action": self._action, "knobs": self.factors,
+        }  # fmt: skip
+        for part in (self._channels, self._memory):
+            held |= part.state() if part is not None else {}
+        return held
+
     def feature_names(self) -> tuple[str, ...]:
         """What each component of the observation is."""
         names = [*statistics.feature_names(self.scenario.sensor.groups)]

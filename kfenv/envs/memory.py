@@ -108,6 +108,14 @@ class Memory:
         )  # fmt: skip
         tell_channels(self._chosen, pends, self._channels, out[:, at + COMMON :])
 
+    def state(self) -> dict[str, Array]:
+        """What is remembered, by name: arrays (B, ...) to be read or set."""
+        return {
+            "memory_channels": self._channels, "memory_groups": self._groups,
+            "memory_origin": self._origin, "memory_last": self._last,
+            "memory_change": self._change,
+        }  # fmt: skip
+
     def feature_names(self) -> tuple[str, ...]:
         """What each of them is."""
         return feature_names(self._scenario.sensor, self._chosen)

@@ -25,7 +25,7 @@ class SatelliteRule(Agent):
 
     single_channels = True
 
-    def check(self, scenario: Any, options: Options, recording: Recording) -> None:
+    def check(self, scenario: Any, options: Options, recording: Recording | None) -> None:
         """See also `Contestant.check`.
 
         Raises:
