@@ -8,10 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kfenv.agents.contest.rollout import draw_episodes, rollout, scenario_and_options
+from kfenv.agents.contestants.channelwise import siblings
 from kfenv.agents.contestants.learned import Learned
 from kfenv.agents.contestants.policy import NumpyPolicy, write_policy
 from policies import RADAR, about, random_arrays, random_policy, trained_on
 
+from kfenv.envs.core import Core
 from kfenv.envs.knobs import Knob, actions_for
 
 KINDS = ("gru", "mlp-log-factors")
@@ -65,6 +67,82 @@ def test_torch_gives_back_what_it_was_given(kind, tmp_path):
     arrays = {name: arrays[name] for name in random_arrays(kind)}  # in the same order
     again = write_policy(tmp_path / "again.npz", arrays, about())
     assert again.read_bytes() == (tmp_path / "policy.npz").read_bytes()
+
+
+@pytest.fixture
+def by_channel(tmp_path):
+    """Two siblings of three features each, of which one is common, and a common knob."""
+    arrays = random_arrays("gru", features=3, knobs=2) | {
+        "kind": "gru-by-channel",
+        "inputs": np.array([[0, 1, 2], [0, 3, 4]]), "outputs": np.array([[0, 1], [0, 2]]),
+    }  # fmt: skip
+    knobs = [("fading", 0.01, 100.0), ("one", 0.05, 500.0), ("other", 0.05, 500.0)]
+    return NumpyPolicy.load(
+        write_policy(tmp_path / "by.npz", arrays, about(features=5) | {"knobs": knobs})
+    )
+
+
+def about_siblings(policy):
+    return about(features=5) | {"knobs": [(k.name, k.low, k.high) for k in policy.knobs]}
+
+
+def test_siblings_share_a_network_and_each_has_its_own_memory(by_channel, observations):
+    torch = pytest.importorskip("torch")
+    from kfenv.agents.learning.channelwise import trainable
+
+    seen = observations[:, :, :5]
+    actions, memory = decide_all(by_channel, seen)
+    network = trainable(by_channel)
+    with torch.no_grad():
+        logs, last = network(torch.tensor(seen), network.start(BATCH))
+    np.testing.assert_allclose(
+        actions, actions_for(np.exp(logs.numpy()), by_channel.knobs), atol=1e-5
+    )
+    np.testing.assert_allclose(memory, last, atol=1e-5)
+    turned, _ = decide_all(by_channel, seen[..., [0, 3, 4, 1, 2]])
+    np.testing.assert_allclose(turned, actions[..., [0, 2, 1]], atol=1e-6)
+    alone, _ = by_channel.network.each.log_factors(seen[0][:, [0, 3, 4]], np.zeros((BATCH, 12)))
+    wanted = actions_for(np.exp(alone), by_channel.knobs[1:])
+    np.testing.assert_allclose(actions[0, :, 2], wanted[:, 1], atol=1e-5)
+    assert network.arrays().keys() == {
+        *random_arrays("gru", 3, 2), "inputs", "outputs"
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"inputs": np.array([[0, 1, 2], [0, 1, 2]]) + 1},
+        {"inputs": np.array([[0, 1, 2]])},
+        {"inputs": np.array([[0.0, 1.0, 2.0], [0.0, 3.0, 4.0]])},
+        {"outputs": np.array([[0, 1], [0, 5]])},
+        {"outputs": np.array([[0, 1], [0, 1]])},
+        {"outputs": np.array([[0, 1], [0, -1]])},
+    ],
+)
+def test_siblings_that_do_not_fit_are_refused(by_channel, tmp_path, change):
+    source, each = by_channel.network, by_channel.network.each
+    arrays = random_arrays("gru", 3, 2) | {"kind": source.kind}
+    arrays |= {"inputs": source.inputs, "outputs": source.outputs}
+    write_policy(tmp_path / "sound.npz", arrays, about_siblings(by_channel))
+    with pytest.raises(ValueError, match=r"knobs|features|places|shape"):
+        write_policy(tmp_path / "wrong.npz", arrays | change, about_siblings(by_channel))
+    assert each.memory_size == 12
+
+
+def test_the_siblings_of_a_receiver_are_its_satellites():
+    scenario, options = scenario_and_options(
+        "kfenv/GnssTracking-v0", {"observation": "full", "actions": ["fading", "channel_noise"]}
+    )
+    core = Core(scenario, options, 1, scenario.time, has_truth=True)
+    features, knobs = core.feature_names(), [knob.name for knob in core.knobs]
+    inputs, outputs = siblings(features, knobs, scenario.sensor)
+    assert [knobs[k] for k in outputs[4]] == ["fading", "rho_5", "rhodot_5"]
+    own = [features[i] for i in inputs[4] if i not in inputs[5]]
+    assert own and all("rho_5" in name.split() or "rhodot_5" in name.split() for name in own)
+    common = [features[i] for i in inputs[4] if i in inputs[5]]
+    assert "previous action: fading" in common and not any("rho" in name for name in common)
+    assert siblings(features, ["fading"], scenario.sensor) is None
 
 
 def test_a_head_can_be_set_and_bounds_leave_a_gradient():

@@ -1,6 +1,6 @@
 """The networks that a policy file may hold, evaluated by NumPy alone.
 
-Both kinds map observations (B, D) and a memory (B, H) to actions (B, K) and the next memory. All
+All map observations (B, D) and a memory (B, H) to actions (B, K) and the next memory. All
 their numbers are float32.
 """
 
@@ -212,16 +212,13 @@ class FactorNetwork:
     def decide(self, observations: Array, memory: Array) -> tuple[Array, Array]:
         """Deterministic actions (B, K) and the next memory; see `kfenv.envs.knobs.Knob`."""
         x, memory = self.log_factors(observations, memory)
-        actions = np.where(x >= 0.0, x / self.knob_high, x / -self.knob_low)
-        return np.minimum(np.maximum(actions, -1.0), 1.0), memory
+        return actions_of(x, self.knob_low, self.knob_high), memory
 
 
-Network = ActionNetwork | FactorNetwork
-KINDS: dict[str, type[ActionNetwork] | type[FactorNetwork]] = {
-    ActionNetwork.kind: ActionNetwork,
-    MEMORYLESS: FactorNetwork,
-    RECURRENT: FactorNetwork,
-}
+def actions_of(log_factors: Array, low: Array, high: Array) -> Array:
+    """The actions that set log factors (B, K), from the logarithms of the knobs' ends (K,)."""
+    actions = np.where(log_factors >= 0.0, log_factors / high, log_factors / -low)
+    return np.minimum(np.maximum(actions, -1.0), 1.0)
 
 
 def _sigmoid(x: Array) -> Array:

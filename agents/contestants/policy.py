@@ -15,8 +15,17 @@ from numpy.typing import ArrayLike, NDArray
 from kfenv.checks import is_number
 from kfenv.envs.knobs import Knob
 
-from .networks import KINDS, ActionNetwork, Array, Network
+from .channelwise import ChannelwiseNetwork
+from .networks import MEMORYLESS, RECURRENT, ActionNetwork, Array, FactorNetwork
 from .policy_file import read_arrays, write_arrays
+
+Network = ActionNetwork | FactorNetwork | ChannelwiseNetwork
+KINDS: dict[str, type[Network]] = {
+    ActionNetwork.kind: ActionNetwork,
+    MEMORYLESS: FactorNetwork,
+    RECURRENT: FactorNetwork,
+    ChannelwiseNetwork.kind: ChannelwiseNetwork,
+}
 
 FORMER_FORMAT = "kfenv-policy-1"  # a network of kind "mlp", without features and knobs
 FORMAT = "kfenv-policy-2"

@@ -63,6 +63,15 @@ class RecurrentNetwork(torch.nn.Module):
         x = self.head(torch.tanh(self.middle(x)))
         return _leaky_clamp(x, self.log_low, self.log_high), state
 
+    def standardise(self, seen: NDArray[np.float32], least: float) -> None:
+        """Set mean and deviation of each feature to those of observations (N, D).
+
+        Args:
+            least: deviation, so that a feature that never moved is not blown up.
+        """
+        self.mean.copy_(torch.from_numpy(seen.mean(axis=0)))
+        self.deviation.copy_(torch.from_numpy(np.maximum(seen.std(axis=0), least)))
+
     @torch.no_grad()
     def set_head(self, index: int, weight: float, bias: float) -> None:
         """Set all weights of one output, and its bias."""
@@ -90,9 +99,13 @@ class RecurrentNetwork(torch.nn.Module):
         Raises:
             ValueError: if it is none of this kind.
         """
-        source = policy.network
-        if not isinstance(source, FactorNetwork):
-            raise ValueError(f"a network of kind {source.kind!r} does not set log factors")
+        if not isinstance(policy.network, FactorNetwork):
+            raise ValueError(f"a network of kind {policy.network.kind!r} is none of this one's")
+        return cls.from_network(policy.network)
+
+    @classmethod
+    def from_network(cls, source: FactorNetwork) -> Self:
+        """The same network with gradients."""
         bounds = (source.mean, source.deviation, source.log_low, source.log_high)
         network = cls(*bounds, hidden=source.bias_in.size, memory=source.gru is not None)
         with torch.no_grad():

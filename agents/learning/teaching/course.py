@@ -20,7 +20,7 @@ from kfenv.envs.knobs import FADING, NOISE_RANGE, PROCESS_NOISE, Knob
 from ...contestants.learned import Learned
 from ...contestants.policy import write_policy
 from ...files import write_json
-from ..networks import RecurrentNetwork
+from ..channelwise import Network, new_network, trainable
 from ..runs import layout
 from ..settings import TaughtSettings
 from .checkpoint import Progress, load_checkpoint, save_checkpoint
@@ -86,18 +86,15 @@ class Course:
         write_policy(self.folder / "policy.npz", self.network.arrays(), self._about(record))
         write_json(self.folder / "training.json", record)
 
-    def _new_network(self) -> RecurrentNetwork:
+    def _new_network(self) -> Network:
         core = self._core()
         if self.curriculum.init is not None:
             start = Learned(self.curriculum.init)
             start.check_fits(core)
-            return RecurrentNetwork.from_policy(start.policy)
+            return trainable(start.policy)
         torch.manual_seed(self.seed)
-        low, high = zip(*(_bounds(knob) for knob in core.knobs), strict=True)
-        size, settings = core.observation_size, self.settings
-        return RecurrentNetwork(
-            np.zeros(size), np.ones(size), low, high, settings.units, settings.memory
-        )
+        bounds = np.array([_bounds(knob) for knob in core.knobs])
+        return new_network(core, bounds, self.settings.units, self.settings.memory)
 
     def _core(self) -> Core:
         part = self.parts[0]

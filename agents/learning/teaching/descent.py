@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from ..networks import RecurrentNetwork
+from ..channelwise import Network
 
 
 def descend(
-    network: RecurrentNetwork, optimiser: torch.optim.Optimizer, loss: torch.Tensor, clip: float
+    network: Network, optimiser: torch.optim.Optimizer, loss: torch.Tensor, clip: float
 ) -> float:
     """One step down the gradient, which is shortened to `clip`; none if it is not finite.
 

@@ -13,7 +13,7 @@ from numpy.random import Generator
 from ...contest.rollout import draw_episodes
 from ...contest.tuning import tune
 from ...contestants.agent import Agent
-from ..networks import RecurrentNetwork
+from ..channelwise import Network
 from ..progress import TrainingProgress
 from .course import Course, cosine
 from .descent import descend
@@ -48,7 +48,8 @@ def _lesson(course: Course, teacher: Agent, bar: TrainingProgress) -> None:
         recording = part.draw(course.seed, number, episodes)
         rolls.append(roll(course.network, part, recording, teacher=teacher, jitter=jitter))
     if number == 0:
-        standardise(course.network, rolls)
+        seen = np.concatenate([roll.observations[roll.running] for roll in rolls])
+        course.network.standardise(seen, LEAST_DEVIATION)
     errors = []
 
     def advance(loss: float) -> None:
@@ -74,16 +75,8 @@ def _tuned(course: Course, teacher: Agent) -> Agent:
     return tune(teacher, env_id, kwargs, recording, course.settings.tuning_trials, course.seed)
 
 
-def standardise(network: RecurrentNetwork, rolls: Sequence[Roll]) -> None:
-    """Set the network's mean and deviation of each feature to those of the rolls."""
-    seen = np.concatenate([roll.observations[roll.running] for roll in rolls])
-    deviation = np.maximum(seen.std(axis=0), LEAST_DEVIATION)
-    network.mean.copy_(torch.from_numpy(seen.mean(axis=0)))
-    network.deviation.copy_(torch.from_numpy(deviation))
-
-
 def learn(
-    network: RecurrentNetwork,
+    network: Network,
     optimiser: torch.optim.Optimizer,
     rolls: Sequence[Roll],
     epochs: int,
@@ -125,7 +118,7 @@ def _batches(
     return [(roll, np.sort(part)) for part in np.array_split(order, min(parts, episodes))]
 
 
-def _error(network: RecurrentNetwork, roll: Roll, chosen: np.ndarray) -> torch.Tensor:
+def _error(network: Network, roll: Roll, chosen: np.ndarray) -> torch.Tensor:
     """Mean squared error of the log factors that count."""
     told = torch.from_numpy(roll.observations[:, chosen])
     wanted, _ = network(told, network.start(len(chosen)))

@@ -18,7 +18,7 @@ from kfenv.scenarios.recording import Recording
 
 from ...contest.rollout import without_truth
 from ...contestants.agent import Agent, Briefing
-from ..networks import RecurrentNetwork
+from ..channelwise import Network
 from .worlds import Part
 
 Array = NDArray[np.float64]
@@ -68,7 +68,7 @@ class Tape:
 
 
 def roll(
-    network: RecurrentNetwork,
+    network: Network,
     part: Part,
     recording: Recording,
     *,

@@ -17,7 +17,7 @@ import torch
 from kfenv.envs.state_knobs import places_of_states
 from kfenv.scenarios.recording import Recording
 
-from ..networks import RecurrentNetwork
+from ..channelwise import Network
 from .differentiable import DifferentiableFilter, Predicted
 from .rolling import Roll
 
@@ -59,7 +59,7 @@ class Refinery:
         self._group = torch.tensor(sensor.group_of_channel)
         self._states = places_of_states(motion, sensor.groups)
 
-    def loss(self, network: RecurrentNetwork, chunk: Chunk) -> torch.Tensor:
+    def loss(self, network: Network, chunk: Chunk) -> torch.Tensor:
         """Mean over the chunk's instants of the robust log of the squared position error.
 
         1/2 k log(1 + (e^2 / m) / k) with an episode's mean squared error m: its gradient is
