@@ -1,6 +1,7 @@
 """Taught agents: lessons and gradients through the filter do what they say, and runs repeat."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ pytest.importorskip("torch")
 import torch
 from kfenv.agents.contest.rollout import SPLITS, draw_episodes, rollout, scenario_and_options
 from kfenv.agents.contest.suites import SUITES
+from kfenv.agents.contestants.channelwise import ChannelwiseNetwork
 from kfenv.agents.contestants.policy import NumpyPolicy
 from kfenv.agents.contestants.registry import make_agent
 from kfenv.agents.learning.networks import RecurrentNetwork
@@ -20,11 +22,15 @@ from kfenv.agents.learning.teaching.rolling import roll
 from kfenv.agents.learning.teaching.through_filter import Chunk, Refinery, chunks, no_lane_rules
 from kfenv.agents.learning.teaching.training import teach
 from kfenv.agents.learning.teaching.worlds import TRAINING, build_world, bundled_worlds
+from rollouts import GNSS
 
 ENV = "kfenv/RadarTracking-v0"
 KWARGS = {"rate": 2.0, "duration": 20.0}
 FULL = KWARGS | {"observation": "full"}
-WORLDS = {"radar-2hz": "radar", "bistatic": "bistatic", "radar-validation": "radar-validation"}
+WORLDS = {
+    "radar-2hz": "radar", "bistatic": "bistatic", "radar-validation": "radar-validation",
+    "gnss": "gnss", "ins-gnss": "ins-gnss",
+}  # fmt: skip
 TINY = {
     "episodes": 12, "epochs": 1, "rounds": 2, "units": 8, "refined_episodes": 6, "chunk": 15,
     "tuning_trials": 0, "checkpoint_every": 2,
@@ -223,6 +229,22 @@ def test_a_budget_in_minutes_becomes_a_number_of_updates(tmp_path, monkeypatch):
           env_kwargs=KWARGS, progress=False, **TINY)  # fmt: skip
     record = json.loads((tmp_path / "a" / "training.json").read_text())
     assert record["total"] is not None and record["updates"] >= 2
+
+
+def test_a_network_for_all_satellites_is_taught_refined_and_resumed(tmp_path):
+    kwargs, tiny = {"duration": 12.0}, TINY | {"episodes": 4, "refined_episodes": 3, "chunk": 4}
+    course = Curriculum(teacher="clairvoyant-channels", updates=2)
+    for folder, plan in (("whole", course), ("more", replace(course, updates=1))):
+        path = teach(GNSS, plan, seed=0, output=tmp_path / folder, env_kwargs=kwargs,
+                     progress=False, **tiny)  # fmt: skip
+    assert isinstance(NumpyPolicy.load(path).network, ChannelwiseNetwork)
+    recording = draw_episodes(GNSS, kwargs, "validation", 0, 2)
+    scores = [rollout(make_agent(str(tmp_path / f)), GNSS, kwargs, recording)
+              for f in ("whole", "more")]  # fmt: skip
+    assert np.isfinite(scores[0].rmse).all() and (scores[0].rmse != scores[1].rmse).any()
+    again = teach(GNSS, Curriculum(init=str(path), updates=1), seed=1, output=tmp_path / "on",
+                  env_kwargs=kwargs, progress=False, **tiny)  # fmt: skip
+    assert NumpyPolicy.load(again).digest != NumpyPolicy.load(path).digest
 
 
 @pytest.mark.parametrize("suite, world", WORLDS.items())
