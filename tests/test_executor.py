@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import deque
 from functools import partial
 from pathlib import Path
 
@@ -41,6 +42,38 @@ def say_and_sleep(folder, number):
 @pytest.mark.parametrize("processes", [1, 2])
 def test_each_job_comes_with_its_result(processes):
     assert dict(run_jobs(square, range(7), processes)) == {n: n * n for n in range(7)}
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_jobs_may_bring_others(processes):
+    waiting, done = deque([1]), []
+    for job, result in run_jobs(square, waiting, processes):
+        done.append(result)
+        if job < 5:
+            waiting.append(job + 1)
+    assert done == [1, 4, 9, 16, 25]
+
+
+def test_each_process_is_prepared_before_its_first_job_and_alone(tmp_path):
+    prepare = partial(enter_alone, tmp_path)
+    done = dict(run_jobs(partial(is_prepared, tmp_path), range(4), 2, prepare))
+    assert done == dict.fromkeys(range(4), True)
+    assert not (tmp_path / "met").exists() and (tmp_path / "prepared").exists()
+
+
+def enter_alone(folder):
+    """Tell if another process is in here at the same time."""
+    if (folder / "inside").exists():
+        (folder / "met").touch()
+    (folder / "inside").touch()
+    time.sleep(0.2)
+    (folder / "inside").unlink()
+    with (folder / "prepared").open("a") as file:
+        file.write(f"{os.getpid()}\n")
+
+
+def is_prepared(folder, job):
+    return str(os.getpid()) in (folder / "prepared").read_text().split()
 
 
 def test_what_died_with_its_worker_is_run_again(tmp_path):

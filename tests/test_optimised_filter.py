@@ -25,7 +25,7 @@ def test_untuned_it_is_the_nominal_filter_where_its_noise_is_constant(recording)
 
 
 def test_its_noise_is_what_its_factors_say(recording):
-    own, states = initial_noise_factor(SCENARIO, recording), SCENARIO.motion.states
+    own, states = initial_noise_factor(SCENARIO, recording)[0], SCENARIO.motion.states
     a, b = states[4].name, states[1].name
     okf = make_agent("okf").with_values({f"q {a}": 3.0, f"q {a} {b}": np.exp(0.5)})
     factor = okf._process_noise(SCENARIO, recording)[0]

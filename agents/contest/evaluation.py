@@ -3,127 +3,81 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from functools import partial
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from ..contestants.learned import Learned
-from ..contestants.registry import NAMES, make_agent
-from ..executor import run_jobs
+from ..contestants.registry import make_agent
+from ..executor import Workers
 from ..files import clear_partial, is_free, read_json, write_json
-from .cost import relative_cost
-from .rollout import check_scored, draw_episodes, rollout, scenario_and_options
-from .scores import Scores, read_cost, read_scores, read_values, scores_path, write_scores
+from .blocks import play
+from .contest import Contest
+from .rollout import check_scored, draw_episodes, scenario_and_options
+from .scores import read_cost, read_scores, scores_path
 from .summary import NOMINAL, TUNED, summarise
-from .tuning import tune
 
 # What is compared, not on what: an evaluated folder may gain agents and change the rival.
 COMPARED = ("agents", "against", "policies")
 
 
-@dataclass(frozen=True)
-class Contest:
-    """What is compared on what; equal contests give equal results.
-
-    Attributes:
-        env_id, env_kwargs: the environment; kwargs must be plain JSON values.
-        agents: names or paths, see `kfenv.agents.contestants.registry.make_agent`.
-        episodes: number of test episodes.
-        seed: of the episodes.
-        split: which episodes the agents meet, "test" or "validation".
-        tuning_episodes: the same for every agent that has parameters.
-        tuning_trials: settings that each may try for each of its parameters.
-        tuning_kwargs: of the environment that agents are tuned in, if others than `env_kwargs`.
-            Its faults are then what they expect in the test as well.
-        against: an agent that all are compared with besides the yardsticks.
-    """
-
-    env_id: str
-    env_kwargs: dict[str, Any]
-    agents: tuple[str, ...]
-    episodes: int
-    seed: int
-    tuning_episodes: int = 32
-    tuning_trials: int = 60
-    split: str = "test"
-    tuning_kwargs: dict[str, Any] | None = None
-    against: str | None = None
-
-    def __post_init__(self) -> None:
-        for name, least in (("episodes", 2), ("tuning_episodes", 1), ("tuning_trials", 0)):
-            if getattr(self, name) < least:
-                raise ValueError(f"{name} must be at least {least}, got {getattr(self, name)}.")
-        names = [make_agent(agent).name for agent in self.all_agents]
-        for given, name in zip(self.all_agents, names, strict=True):
-            if "/" in name:
-                raise ValueError(f"An agent's name must not hold a slash: {name!r}.")
-            if names.count(name) > 1 or (name in NAMES and given not in NAMES):
-                raise ValueError(
-                    f"Two agents are called {name!r}: name the trained one with OTHER=PATH."
-                )
-
-    @property
-    def all_agents(self) -> tuple[str, ...]:
-        """The yardsticks first, the tuned one only where there is tuning; then the rival."""
-        yardsticks = (NOMINAL, TUNED) if self.tuning_trials > 0 else (NOMINAL,)
-        rival = () if self.against is None else (self.against,)
-        return tuple(dict.fromkeys((*yardsticks, *rival, *self.agents)))
-
-    @property
-    def tuning_place(self) -> tuple[str, dict[str, Any]]:
-        """The environment that agents are tuned in, and its keywords."""
-        return self.env_id, self.env_kwargs if self.tuning_kwargs is None else self.tuning_kwargs
-
-    @property
-    def expected_place(self) -> tuple[str, dict[str, Any]]:
-        """The environment with the faults that agents expect: those that they were tuned to."""
-        if self.tuning_kwargs is None:
-            return self.env_id, self.env_kwargs
-        own = {key: value for key, value in self.env_kwargs.items() if key != "faults"}
-        expected = {key: value for key, value in self.tuning_kwargs.items() if key == "faults"}
-        return self.env_id, own | expected
-
-
 def evaluate(
     contest: Contest,
     output: Path,
-    processes: int = 2,
+    processes: Workers = 2,
     resume: bool = False,
     started: Callable[[int], None] = lambda total: None,
     advance: Callable[[str], None] = lambda name: None,
-    tuned: Path | None = None,
 ) -> list[dict[str, Any]]:
     """Run a contest and write ``results.json`` and each agent's scores into a folder.
 
-    ``fixed`` and (with tuning) ``fixed-tuned`` always take part, as yardsticks. An
-    agent's scores are written when it is done, so that resuming repeats none of them.
-    A folder may gain agents by resuming with more of them.
+    ``fixed`` and (with tuning) ``fixed-tuned`` always take part, as yardsticks. What is
+    finished of an agent (its tuning, blocks of episodes, its scores) is kept, so that resuming
+    repeats none of it. A folder may gain agents by resuming with more of them.
 
     Args:
-        tuned: folder of a contest with the same tuning, whose parameters are taken over.
+        processes: so many of this machine, or a cluster's.
 
     Raises:
         FileExistsError: if the folder holds anything and ``resume`` is not set.
-        RuntimeError: if a worker process dies of an agent twice; the others' scores are kept.
+        RuntimeError: if a worker process dies of a job twice; what else was done is kept.
         ValueError: if it holds another contest, or an agent is unknown.
     """
-    _complain_first(contest)
-    _admit(output, contest, resume)
-    names, episodes = contest.all_agents, _episodes(contest)
-    todo = [name for name in names if not scores_path(output, name).exists()]
-    done = [name for name in names if name not in todo]
-    for name in done:
-        read_scores(output, name, episodes)  # complains
-    started(len(names))
-    for name in done:
-        advance(name)
-    for name, scored in run_jobs(partial(run_agent, contest, tuned=tuned), todo, processes):
-        write_scores(output, name, *scored)
-        advance(name)
-    results = _results(contest, output)
-    write_json(output / "results.json", results)
+    [results] = evaluate_all(
+        {output: contest}, processes, resume, started, lambda folder, name: advance(name)
+    ).values()
+    return results
+
+
+def evaluate_all(
+    contests: Mapping[Path, Contest],
+    processes: Workers,
+    resume: bool,
+    started: Callable[[int], None],
+    advance: Callable[[Path, str], None],
+) -> dict[Path, list[dict[str, Any]]]:
+    """Run contests of the same agents and the same tuning, each into a folder; see `evaluate`."""
+    for contest in contests.values():
+        _complain_first(contest)
+    for output, contest in contests.items():
+        _admit(output, contest, resume)
+    names = next(iter(contests.values())).all_agents
+    sizes = {output: _episodes(contest) for output, contest in contests.items()}
+    done = [(o, name) for o in contests for name in names if scores_path(o, name).exists()]
+    for output, name in done:
+        read_scores(output, name, sizes[output])  # complains
+    started(len(contests) * len(names))
+    for output, name in done:
+        advance(output, name)
+    folders = list(contests)
+    play(
+        list(contests.values()), list(sizes.values()), folders, processes,
+        lambda number, name: advance(folders[number], name),
+    )  # fmt: skip
+    results = {output: _results(contest, output) for output, contest in contests.items()}
+    for output, found in results.items():
+        write_json(output / "results.json", found)
     return results
 
 
@@ -137,22 +91,26 @@ def _episodes(contest: Contest) -> int:
 def _results(contest: Contest, output: Path) -> list[dict[str, Any]]:
     """What the stored scores of the contest's agents amount to."""
     given = {make_agent(name).name: name for name in contest.all_agents}
-    scores = {name: read_scores(output, path) for name, path in given.items()}
     scenario, _ = scenario_and_options(contest.env_id, contest.env_kwargs)
     rival = None if contest.against is None else make_agent(contest.against).name
-    return [
-        {
+    known = [name for name in (NOMINAL, TUNED, rival) if name in given]
+    met = {name: read_scores(output, given[name]) for name in known}
+
+    def result(name: str, path: str) -> dict[str, Any]:  # so few scores are held at once
+        scores = met if name in met else met | {name: read_scores(output, path)}
+        return {
             "agent": name,
             "env": contest.env_id,
             "env_kwargs": contest.env_kwargs,
             "seed": contest.seed,
             "episodes": len(scores[name].rmse),
             "episodes_asked": contest.episodes,  # a real log may have fewer
+            **summarise(name, scores, rival, scenario.sensor.groups, contest.seed),
+            "cost": read_cost(output, path),
+            "given_as": path,
         }
-        | summarise(name, scores, rival, scenario.sensor.groups, contest.seed)
-        | {"cost": read_cost(output, path), "given_as": path}
-        for name, path in given.items()
-    ]
+
+    return [result(name, path) for name, path in given.items()]
 
 
 def _complain_first(contest: Contest) -> None:
@@ -186,34 +144,6 @@ def check_log(
             "duration or give a longer log."
         )
     check_scored(windows)
-
-
-def run_agent(
-    contest: Contest, name: str, tuned: Path | None = None
-) -> tuple[Scores, dict[str, float], float | None]:
-    """Tune one agent on the tuning episodes and score it on the test episodes.
-
-    Args:
-        tuned: folder of a contest whose parameters are taken over instead.
-
-    Returns:
-        Its scores, parameters and relative cost.
-    """
-    agent = make_agent(name)
-    if tuned is not None:
-        agent = agent.with_values(read_values(tuned, name))
-    elif contest.tuning_trials > 0:
-        recording = draw_episodes(
-            *contest.tuning_place, "tuning", contest.seed, contest.tuning_episodes
-        )
-        agent = tune(agent, *contest.tuning_place, recording, contest.tuning_trials, contest.seed)
-    place = contest.expected_place
-    recording = draw_episodes(
-        contest.env_id, contest.env_kwargs, contest.split, contest.seed, contest.episodes
-    )
-    scores = rollout(agent, *place, recording, contest.seed)
-    cost = relative_cost(agent, *place, recording, contest.seed, scores.seconds)
-    return scores, agent.values, cost
 
 
 def _admit(output: Path, contest: Contest, resume: bool) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..carried import carried
 from ..contestants.particles.bound import ParticleBound
-from ..executor import run_jobs
+from ..executor import Workers, run_jobs
 from ..files import clear_partial, is_free, read_arrays, read_json, write_json, written_whole
 from .rollout import draw_episodes, rollout, scenario_and_options
 
@@ -53,7 +54,7 @@ class Limit:
 def measure_limit(
     limit: Limit,
     output: Path,
-    processes: int = 2,
+    processes: Workers = 2,
     resume: bool = False,
     started: Callable[[int], None] = lambda total: None,
     advance: Callable[[], None] = lambda: None,
@@ -76,7 +77,8 @@ def measure_limit(
     started(len(limit.jobs))
     for _ in range(len(limit.jobs) - len(todo)):
         advance()
-    for job, (rmse, lost) in run_jobs(partial(_run, limit), todo, processes):
+    work = partial(_run, replace(limit, env_kwargs=carried(limit.env_kwargs)))
+    for job, (rmse, lost) in run_jobs(work, todo, processes):
         with written_whole(_path(output, job)) as file:
             np.savez(file, rmse=rmse, lost=lost)
         advance()
@@ -108,7 +110,7 @@ def _run(limit: Limit, job: tuple[int, int]) -> tuple[Any, Any]:
     repeat, begin = job
     place = limit.env_id, limit.env_kwargs
     end = min(begin + BLOCK, limit.episodes)
-    episodes = draw_episodes(*place, "test", limit.seed, end)[begin:]
+    episodes = draw_episodes(*place, "test", limit.seed, limit.episodes, (begin, end))
     bound = ParticleBound("particle-bound", particles=limit.particles, seed=repeat)
     scores = rollout(bound, *place, episodes)
     return scores.rmse, scores.lost

@@ -33,10 +33,10 @@ SPLITS = {"tuning": 1, "validation": 2, "test": 3}
 HISTORY_SIZE = 10_000_000  # numbers in the covariances that are held at once: 80 MB
 
 
-def episode_rngs(split: str, seed: int, episodes: int) -> list[Generator]:
-    """A generator for each episode of a split."""
+def episode_rngs(split: str, seed: int, episodes: int, begin: int = 0) -> list[Generator]:
+    """A generator of its own for each episode of a split, from `begin` on."""
     key = SPLITS[split]
-    return [default_rng(SeedSequence(seed, spawn_key=(key, i))) for i in range(episodes)]
+    return [default_rng(SeedSequence(seed, spawn_key=(key, i))) for i in range(begin, episodes)]
 
 
 def scenario_and_options(env_id: str, env_kwargs: dict[str, Any]) -> tuple[Any, Options]:
@@ -63,12 +63,24 @@ def find_spec(env_id: str) -> EnvSpec:
 
 
 def draw_episodes(
-    env_id: str, env_kwargs: dict[str, Any], split: str, seed: int, episodes: int
+    env_id: str,
+    env_kwargs: dict[str, Any],
+    split: str,
+    seed: int,
+    episodes: int,
+    block: tuple[int, int] | None = None,
 ) -> Recording:
-    """The episodes of a split: of a real log at most as many as that part of it has."""
+    """The episodes of a split: of a real log at most as many as that part of it has.
+
+    Args:
+        block: begin and end of those that are wanted; None for all.
+    """
     scenario, _ = scenario_and_options(env_id, env_kwargs)
     recorded = scenario.recorded(split, episodes)
-    return recorded or scenario.sample(episode_rngs(split, seed, episodes))
+    begin, end = block or (0, episodes)
+    if recorded is not None:
+        return recorded[begin:end]
+    return scenario.sample(episode_rngs(split, seed, end, begin))
 
 
 def rollout(
@@ -78,8 +90,13 @@ def rollout(
     recording: Recording,
     seed: int = 0,
     trace: bool = False,
+    block: tuple[int, int] | None = None,
 ) -> Scores:
     """Run a contestant over every episode of a recording.
+
+    Args:
+        block: if they are a part of a contest's episodes, which of them is the first and how many
+            there are in all: what an agent draws then is the same however they are parted.
 
     Raises:
         ValueError: if an episode has no truth to score against.
@@ -89,7 +106,7 @@ def rollout(
     contestant = contestant.suited_to(scenario)
     if isinstance(contestant, RecordingFilter):
         return _filter(contestant, scenario, options, recording, trace)
-    return _decide(contestant, scenario, options, recording, seed, trace)
+    return _decide(contestant, scenario, options, recording, seed, trace, block or (0, None))
 
 
 def check_scored(recording: Recording) -> None:
@@ -108,8 +125,9 @@ def check_scored(recording: Recording) -> None:
 
 
 def _decide(
-    agent: Agent, scenario: Any, options: Options, recording: Recording, seed: int, trace: bool
-) -> Scores:
+    agent: Agent, scenario: Any, options: Options, recording: Recording, seed: int, trace: bool,
+    block: tuple[int, int | None],
+) -> Scores:  # fmt: skip
     """All episodes in lock-step, an action from the agent per decision."""
     options = replace(options, recording=recording, reward="rmse", **agent.own_options)
     core = Core(scenario, options, len(recording), recording.time, has_truth=True)
@@ -117,7 +135,7 @@ def _decide(
     core.filter, watch = watched, watched.watch
     core.load(np.arange(len(recording)), recording)
     shown = recording if agent.clairvoyant else None
-    agent.reset(Briefing(core.knobs, scenario, core.batch, seed, shown, core.interval))
+    agent.reset(Briefing(core.knobs, scenario, core.batch, seed, shown, core.interval, *block))
     running, lost = np.ones(core.batch, bool), np.zeros(core.batch, bool)
     times, errors, factors, offs = [], [], [], []
     while running.any():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -57,8 +58,12 @@ def write_scores(
     output: Path, name: str, scores: Scores, values: dict[str, float], cost: float | None
 ) -> None:
     """Store an agent's scores, the parameters that it had, and its relative cost."""
-    path = scores_path(output, name)
-    path.parent.mkdir(exist_ok=True)
+    store(scores_path(output, name), scores, values, cost)
+
+
+def store(path: Path, scores: Scores, values: dict[str, float], cost: float | None) -> None:
+    """Write scores into a file, see `write_scores`."""
+    path.parent.mkdir(exist_ok=True, parents=True)
     with written_whole(path) as file:
         np.savez(
             file, **{field: getattr(scores, field) for field in STORED},
@@ -76,7 +81,7 @@ def read_scores(output: Path, name: str, episodes: int | None = None) -> Scores:
     Raises:
         ValueError: if the file is damaged, or of another number of episodes.
     """
-    *arrays, seconds = _read(output, name, *STORED)
+    *arrays, seconds = read_arrays(scores_path(output, name), STORED, REMEDY).values()
     for field, array in zip(STORED, arrays, strict=False):
         if array.shape[:1] != (episodes or len(arrays[0]),):
             raise ValueError(
@@ -86,17 +91,32 @@ def read_scores(output: Path, name: str, episodes: int | None = None) -> Scores:
     return Scores(*arrays, float(seconds))
 
 
+def joined(paths: Sequence[Path]) -> tuple[Scores, dict[str, float], float | None]:
+    """The scores in the files of an agent's blocks, one after the other; parameters; cost.
+
+    Raises:
+        ValueError: if a file is damaged.
+    """
+    blocks = [read_arrays(path, STORED, REMEDY) for path in paths]
+    arrays = [np.concatenate([block[field] for block in blocks]) for field in STORED[:-1]]
+    seconds = float(sum(block["seconds"] for block in blocks))
+    first = read_arrays(paths[0], ("parameters", "values", "cost"), REMEDY)
+    return Scores(*arrays, seconds), _values(first), _cost(first)
+
+
 def read_values(output: Path, name: str) -> dict[str, float]:
     """The parameters that an agent was scored with."""
-    names, values = _read(output, name, "parameters", "values")
-    return dict(zip(names.tolist(), values.tolist(), strict=True))
+    return _values(read_arrays(scores_path(output, name), ("parameters", "values"), REMEDY))
 
 
 def read_cost(output: Path, name: str) -> float | None:
     """An agent's CPU time relative to the bare engine's, if it was measured."""
-    [cost] = _read(output, name, "cost")
-    return None if np.isnan(cost) else float(cost)
+    return _cost(read_arrays(scores_path(output, name), ("cost",), REMEDY))
 
 
-def _read(output: Path, name: str, *fields: str) -> list[NDArray[Any]]:
-    return list(read_arrays(scores_path(output, name), fields, REMEDY).values())
+def _values(stored: Mapping[str, NDArray[Any]]) -> dict[str, float]:
+    return dict(zip(stored["parameters"].tolist(), stored["values"].tolist(), strict=True))
+
+
+def _cost(stored: Mapping[str, NDArray[Any]]) -> float | None:
+    return None if np.isnan(stored["cost"]) else float(stored["cost"])

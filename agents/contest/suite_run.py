@@ -14,8 +14,10 @@ import numpy as np
 from kfenv.names import unknown
 
 from ..contestants.registry import AGENTS, FILTERS, make_agent
+from ..executor import Workers
 from ..files import clear_partial, is_free, read_json, write_json
-from .evaluation import Contest, evaluate
+from .contest import Contest
+from .evaluation import evaluate_all
 from .recording_hash import recording_hash
 from .rollout import draw_episodes, scenario_and_options
 from .suites import FLIGHT, IN_DISTRIBUTION, Case, Suite, find_suite
@@ -77,7 +79,7 @@ class SuiteRun:
 def run_suite(
     run: SuiteRun,
     output: Path,
-    processes: int = 2,
+    processes: Workers = 2,
     resume: bool = False,
     started: Callable[[int], None] = lambda total: None,
     advance: Callable[[str], None] = lambda what: None,
@@ -98,16 +100,11 @@ def run_suite(
     cases, told = run.chosen, _told(run)
     agents = _admit(output, told, run.agents, resume)
     clear_partial(output)
-    contests = {name: run.contest(case, agents) for name, case in cases.items()}
-    started(sum(len(contest.all_agents) for contest in contests.values()))
+    contests = {output / name: run.contest(case, agents) for name, case in cases.items()}
     write_json(output / "suite.json", told | {"agents": agents})
-    first = output / IN_DISTRIBUTION
-    for name, contest in contests.items():
-        evaluate(
-            contest, output / name, processes, resume=True,
-            advance=lambda agent, name=name: advance(f"{name}: {agent}"),
-            tuned=None if name == IN_DISTRIBUTION else first,
-        )  # fmt: skip
+    evaluate_all(
+        contests, processes, True, started, lambda folder, agent: advance(f"{folder.name}: {agent}")
+    )
     results = _gather(run.suite, output, told)
     write_json(output / "results.json", results)
     return results

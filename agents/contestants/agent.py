@@ -41,6 +41,8 @@ class Briefing:
         seed: for agents that draw.
         recording: the episodes, for the clairvoyant alone; None for everyone else.
         decision_interval: filter steps per action.
+        first, episodes: which of all episodes of the contest the first of these is, and how many
+            all are, for agents that draw; None if these are all.
     """
 
     knobs: tuple[Knob, ...]
@@ -49,6 +51,8 @@ class Briefing:
     seed: int
     recording: Recording | None
     decision_interval: int = 1
+    first: int = 0
+    episodes: int | None = None
 
     @property
     def sensor(self) -> Sensor:

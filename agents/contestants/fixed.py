@@ -39,7 +39,7 @@ class FixedTuned(Agent):
 
 
 class Random(Agent):
-    """Uniform actions: the floor."""
+    """Uniform actions: the floor. An episode's are the same in whatever block it is run."""
 
     all_knobs = False
     sees = "nothing"
@@ -49,4 +49,9 @@ class Random(Agent):
         self._rng = np.random.default_rng(briefing.seed)
 
     def act(self, observation: NDArray[np.float32], info: Mapping[str, Any]) -> Array:
-        return self._rng.uniform(-1.0, 1.0, (self.briefing.batch, len(self.briefing.knobs)))
+        batch, knobs = self.briefing.batch, len(self.briefing.knobs)
+        before, episodes = self.briefing.first, self.briefing.episodes or batch
+        self._rng.bit_generator.advance(before * knobs)  # a draw for each number
+        actions = self._rng.uniform(-1.0, 1.0, (batch, knobs))
+        self._rng.bit_generator.advance((episodes - before - batch) * knobs)
+        return actions

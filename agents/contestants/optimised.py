@@ -27,7 +27,7 @@ class Okf(CompiledFilter):
     """The Optimized Kalman Filter of Greenberg et al. (2023): Q and R by their Cholesky factors.
 
     The factor of Q is (diagonal, then couplings of each pair of states) times the model's own
-    for the first episode's initial state, held ever after; R is the told one times a constant
+    for the episode's initial state, held ever after; R is the told one times a constant
     for each channel, since no scenario's channels depend on each other. Tuning chooses all of
     them on the error itself, by CMA-ES as for everyone else, where the paper follows gradients.
     """
@@ -75,33 +75,34 @@ class Okf(CompiledFilter):
         return History(means, nis, status, failed_at, factors @ factors.swapaxes(2, 3), factors)
 
     def _process_noise(self, scenario: TrackingScenario, recording: Recording) -> Array:
-        """The lower factor of Q, the same for all episodes (B, n, n)."""
+        """The lower factor of Q, constant in each episode (B, n, n)."""
         own = initial_noise_factor(scenario, recording)
         states, size = [state.name for state in scenario.motion.states], _sizes(own)
-        chosen = np.diag([self.values.get(f"q {a}", 1.0) for a in states])
+        diagonal = [self.values.get(f"q {a}", 1.0) for a in states]
+        chosen = np.tile(np.diag(diagonal), (len(recording), 1, 1))
         for i, a in enumerate(states):
             for j, b in enumerate(states[:i]):
                 coupling = log(self.values.get(f"q {a} {b}", 1.0))
-                chosen[i, j] = chosen[i, i] * coupling * size[i] / size[j]
-        return np.tile(chosen @ own, (len(recording), 1, 1))
+                chosen[:, i, j] = diagonal[i] * coupling * size[:, i] / size[:, j]
+        return chosen @ own
 
     def _noise_scale(self, scenario: TrackingScenario) -> Array:
         return np.array([self.values.get(f"r {c.name}", 1.0) for c in scenario.sensor.channels])
 
 
 def initial_noise_factor(scenario: TrackingScenario, recording: Recording) -> Array:
-    """The model's lower factor (n, n) of Q for the first episode's first step."""
+    """The model's lower factor (B, n, n) of Q for each episode's first step."""
     motion, n = scenario.motion, recording.mean.shape[1]
-    dt = recording.time[1] - recording.time[0]
-    inputs = tuple(recording.motion_inputs[0, 1])
-    entries = motion.build(batch).noise_factor(tuple(recording.mean[0]), inputs, dt)
-    factor = np.zeros((n, n))
+    dt = np.full(len(recording), recording.time[1] - recording.time[0])
+    inputs = tuple(recording.motion_inputs[:, 1].T)
+    entries = motion.build(batch).noise_factor(tuple(recording.mean.T), inputs, dt)
+    factor = np.zeros((len(recording), n, n))
     for (row, column), entry in zip(motion.noise_pattern, entries, strict=True):
-        factor[row, column] = entry
+        factor[:, row, column] = entry
     return factor
 
 
 def _sizes(factor: Array) -> Array:
-    """Deviations (n,) of the states, one where there is no noise: the units of couplings."""
-    size = np.sqrt(np.sum(factor**2, axis=1))
+    """Deviations (B, n) of the states, one where there is no noise: the units of couplings."""
+    size = np.sqrt(np.sum(factor**2, axis=2))
     return np.where(size > 0.0, size, 1.0)

@@ -4,6 +4,7 @@ from math import pi
 
 from numba import njit
 
+import kfenv.kernel_cache  # noqa: F401  (processes take turns at it)
 from kfenv.models.namespaces.lanes import copysign, floor, sqrt, where_greater
 
 # NaN marks what did not arrive, so the flags that assume no NaN stay off.

@@ -1,0 +1,84 @@
+"""What is finished of some contests, on disk: tunings and blocks of episodes beside the scores."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from ..files import read_json, write_json
+from .scores import REMEDY, Scores, joined, read_values, scores_path, store, write_scores
+
+BLOCK = 100  # episodes: fewer in lock-step cost more time each
+
+Values = dict[str, float]
+
+
+class Ledger:
+    """Keeps the books of contests of the same agents, the first of which tunes them.
+
+    Args:
+        sizes: number of episodes of each contest.
+        folders: of each.
+        names: of the agents, by the name or path that the contests know them by.
+    """
+
+    def __init__(
+        self, sizes: Sequence[int], folders: Sequence[Path], names: Mapping[str, str]
+    ) -> None:
+        self._sizes, self._folders, self._names = sizes, folders, names
+        self._left: dict[tuple[int, str], int] = {}  # blocks of a contest and agent
+
+    def open_contests(self, agent: str) -> list[int]:
+        """Contests without scores of the agent."""
+        folders = enumerate(self._folders)
+        return [i for i, folder in folders if not scores_path(folder, agent).exists()]
+
+    def values(self, agent: str) -> Values | None:
+        """What tuning found for the agent, or None if it has not been tuned yet."""
+        path = self._place(0, agent) / "values.json"
+        if scores_path(self._folders[0], agent).exists():
+            return read_values(self._folders[0], agent)
+        return read_json(path, dict, REMEDY) if path.exists() else None
+
+    def keep_values(self, agent: str, values: Values) -> None:
+        """Store what tuning found."""
+        self._place(0, agent).mkdir(parents=True, exist_ok=True)
+        write_json(self._place(0, agent) / "values.json", values)
+
+    def missing(self, contest: int, agent: str) -> list[tuple[int, int]]:
+        """Begin and end of the blocks that are not there yet."""
+        paths = self._paths(contest, agent)
+        found = [block for block, path in paths.items() if not path.exists()]
+        self._left[contest, agent] = len(found)
+        return found
+
+    def keep(
+        self, contest: int, agent: str, block: tuple[int, int], values: Values, scores: Scores,
+        cost: float | None,
+    ) -> bool:  # fmt: skip
+        """Store a block; whether it was the last of its contest and agent."""
+        store(self._path(contest, agent, block), scores, values, cost)
+        self._left[contest, agent] -= 1
+        return self._left[contest, agent] == 0
+
+    def close(self, contest: int, agent: str) -> None:
+        """Make the scores out of all blocks."""
+        paths = list(self._paths(contest, agent).values())
+        write_scores(self._folders[contest], agent, *joined(paths))
+        shutil.rmtree(self._place(contest, agent))
+        with suppress(OSError):  # of other agents there are blocks
+            self._place(contest, agent).parent.rmdir()
+
+    def _place(self, contest: int, agent: str) -> Path:
+        return self._folders[contest] / "blocks" / self._names[agent]
+
+    def _paths(self, contest: int, agent: str) -> dict[tuple[int, int], Path]:
+        """The file of each block."""
+        size = self._sizes[contest]
+        blocks = [(begin, min(begin + BLOCK, size)) for begin in range(0, size, BLOCK)]
+        return {block: self._path(contest, agent, block) for block in blocks}
+
+    def _path(self, contest: int, agent: str, block: tuple[int, int]) -> Path:
+        return self._place(contest, agent) / f"{block[0]}-{block[1]}.npz"
