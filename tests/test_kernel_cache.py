@@ -22,7 +22,7 @@ class SlowDisk(IndexDataCacheFile):
 
 
 def save_many(folder, key, barrier):
-    """Save one of two signatures of several functions, each when the other process saves its own."""
+    """Save one of two signatures of some functions, each when the other process saves its own."""
     for number in range(ROUNDS):
         barrier.wait(60.0)
         SlowDisk(folder, f"f{number}", "stamp").save(key, key)
