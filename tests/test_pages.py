@@ -16,7 +16,7 @@ from rollouts import GNSS, INERTIAL, TRACKING, VALIDATION, every_environment, ma
 
 from kfenv.envs.options import REWARDS, Options
 from kfenv.envs.pages import compose, with_page
-from kfenv.envs.rewards import IMPROVEMENT_CAP
+from kfenv.envs.rewards import CAP
 from kfenv.envs.statistics import WINDOWS
 from kfenv.envs.wording import WIDTH, wrap
 from kfenv.models.gnss.receiver import range_deviation
@@ -95,7 +95,7 @@ def test_figures(env_id):
     assert f"position error above {scenario.lost_distance / 1e3:g} km" in " ".join(
         section(env_id, "Episode End").split()
     )
-    most = {"rmse": scenario.lost_distance / scenario.error_scale, "improvement": IMPROVEMENT_CAP}
+    most = {"rmse": scenario.lost_distance / scenario.error_scale, "improvement": CAP}
     for price in most.values():
         assert re.search(rf"\b{price:g}\b", section(env_id, "Rewards"))
     for name in REWARDS:

@@ -23,13 +23,13 @@ from rollouts import (
 )
 from test_zero_action_is_nominal import nominal_run
 
-from kfenv.envs.rewards import worst
+from kfenv.envs.rewards import DENSE, worst
 
 RETURNS = {
     "rmse": lambda error: -error,
     "log-rmse": lambda error: -np.log(error),
 }
-REWARDS = (*RETURNS, "improvement")
+REWARDS = (*RETURNS, *DENSE)
 intervals = pytest.mark.parametrize("interval", [1, 4])
 every_return = pytest.mark.parametrize("reward", RETURNS)
 
@@ -243,7 +243,7 @@ def test_a_lost_track_pays_for_all_that_remained(env_id, reward, interval, lost_
     _, value, terminated, truncated, info = heard[-1]
     assert terminated is True and truncated is False
     assert all(not (step[2] or step[3]) for step in heard[1:-1])
-    if reward == "improvement":
+    if reward in DENSE:
         assert value == -3.0 * (decisions - begun)
     else:
         before = errors_of(env_id, recording, zeros(env, 41), 1)[:lost_at]

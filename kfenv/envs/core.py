@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kfenv.envs import rewards, statistics
+from kfenv.envs.foresight import Foresight
 from kfenv.envs.loop import IDLE, Loop
 from kfenv.envs.options import Options
 from kfenv.filters.protocol import Measurement
@@ -58,6 +59,9 @@ class Core(Loop):
         self.error, self.nees = np.full((2, batch), np.nan)
         self.total_squared_error, self.total_nees, self.total_scored = np.zeros((3, batch))
         self._to_score, self._cost = np.zeros((2, batch))
+        self._foresight = None
+        if options.reward in rewards.LABEL_FREE:
+            self._foresight = Foresight(options.reward, self.filter, scenario.sensor, batch, n)
 
     # ----- episodes -----------------------------------------------------------------
 
@@ -75,6 +79,8 @@ class Core(Loop):
             begins_at_zero[chosen] = 0
         self.error[chosen] = self.nees[chosen] = np.nan
         self.begin(chosen, recording.mean, recording.factor)
+        if self._foresight is not None:
+            self._foresight.restart(chosen, recording)
         self._to_score[chosen] = np.maximum(recording.scored_instants, 1.0)
         mask = np.zeros(self.batch, bool)
         mask[chosen] = True
@@ -102,6 +108,8 @@ class Core(Loop):
         squared, nominal, count = np.zeros((3, self.batch))
         active, begin = running.copy(), self.index.copy()
         known_error = np.full(self.batch, np.nan)  # the latest of this decision
+        if self._foresight is not None:
+            self._foresight.begin()
         for _ in range(self.interval):
             self._correct(active)
             self._score(active)
@@ -113,6 +121,7 @@ class Core(Loop):
             )  # fmt: skip
             self._predict(active)
             self._look(active)
+            self._foresee(active)
             if not active.any():
                 break
         np.copyto(self.error, known_error, where=running)
@@ -122,20 +131,26 @@ class Core(Loop):
         ended = running & ~lost & (self.index >= len(self.time))
         if self.options.reward == rewards.IMPROVEMENT:
             count = np.maximum(count, 1.0)
-            reward = self._improvement(squared / count, nominal / count, begin)
+            reward = self._paid_for_loss(self._improvement(squared / count, nominal / count), begin)
+        elif self._foresight is not None:
+            reward = self._paid_for_loss(self._foresight.reward(), begin)
         elif self.has_truth:
             reward = self._added_cost()
         else:
             reward = self._price_of_failure()
         return np.where(running, reward, 0.0), lost, ended
 
-    def _improvement(self, squared: Array, nominal: Array, begin: NDArray[np.int64]) -> Array:
-        """Of a decision begun at these indices, from mean squared errors."""
+    def _improvement(self, squared: Array, nominal: Array) -> Array:
+        """Of a decision, from mean squared errors."""
         reward = np.zeros(self.batch)
         if self.has_truth:
             rewards.improvement(nominal, squared, reward)
+        return reward
+
+    def _paid_for_loss(self, reward: Array, begin: NDArray[np.int64]) -> Array:
+        """A dense reward of decisions begun at these indices; a loss pays for all to come."""
         remaining = -(-(len(self.time) - begin) // self.interval)
-        return np.where(self.lost, -rewards.IMPROVEMENT_CAP * remaining, reward)
+        return np.where(self.lost, -rewards.CAP * remaining, reward)
 
     def _added_cost(self) -> Array:
         """Of an episode whose return is its score."""
@@ -170,8 +185,9 @@ class Core(Loop):
         return np.minimum(self.index, self._last)
 
     def _correct(self, active: Mask) -> None:
-        due = self.index % self.scenario.steps_per_measurement == 0
-        self.correct(self._measurement(), due, active)
+        if self._foresight is not None:
+            self._foresight.correct(self._measurement(), np.where(active, self.status, IDLE))
+        self.correct(self._measurement(), self._due, active)
         np.copyto(self._scored, self.index, where=active)
 
     def _predict(self, active: Mask) -> None:
@@ -179,6 +195,20 @@ class Core(Loop):
 
     def _look(self, active: Mask) -> None:
         self.look(self._measurement(), self._dt[self._instant], active)
+
+    @property
+    def _due(self) -> Mask:
+        """Whether each filter's instant is one of the sensor's."""
+        return self.index % self.scenario.steps_per_measurement == 0
+
+    def _foresee(self, active: Mask) -> None:
+        """Book the pending innovation as the decision's knobs, still held, foresee it."""
+        if self._foresight is None:
+            return
+        dt, work = self._dt[self._instant], np.where(active, self.status, IDLE)
+        self._foresight.predict(self._gather("motion_inputs"), dt, work)
+        arrived = self._measurement()
+        self._foresight.look(self.foresee(arrived, self._due, work), arrived, dt, work)
 
     def _score(self, active: Mask) -> None:
         if self.has_truth:

@@ -18,7 +18,7 @@ from kfenv.envs.memory import Memory
 from kfenv.envs.options import ENGINE, FULL, GAUSSIAN_SUMS, Options
 from kfenv.envs.state_knobs import places_of_states, turn_states
 from kfenv.filters.engine import Engine
-from kfenv.filters.protocol import Filter, Knobs, Measurement
+from kfenv.filters.protocol import Filter, Knobs, Measurement, Status
 from kfenv.filters.results import Prediction, Update
 from kfenv.models.model import Sensor
 
@@ -113,19 +113,33 @@ class Loop:
         Args:
             due: (B,) whether the instant is one of the sensor's: fading acts at these alone.
         """
-        noise = arrived.noise * self.factors[:, 2 + self._group]
-        told = arrived._replace(noise=noise * self.factors[:, self._channel_knobs])
         work = np.where(active, self.status, IDLE)
-        knobs = Knobs(np.where(due, self.factors[:, 0], 1.0), self.factors[:, 1].copy())
         outlier_odds = (self.factors[:, self._outlier_knob].copy(),) if self.options.mixture else ()
-        prediction = turn_states(self._prediction, self.factors, self._state_knobs)
-        result = self.filter.update(prediction, knobs, told, work, *outlier_odds)
+        result = self.filter.update(*self._turned(arrived, due), work, *outlier_odds)
         self._update = _merge(self._update, result, active)
         np.copyto(self.status, work, where=active)
         failed = active & (work != 0)
         if failed.any():  # its outputs are meaningless
             self._update.mean[failed] = np.nan
             self._update.nis[failed] = np.nan
+
+    def _turned(self, arrived: Measurement, due: Mask) -> tuple[Prediction, Knobs, Measurement]:
+        """Prediction, knobs and measurement as the factors make them."""
+        noise = arrived.noise * self.factors[:, 2 + self._group]
+        told = arrived._replace(noise=noise * self.factors[:, self._channel_knobs])
+        knobs = Knobs(np.where(due, self.factors[:, 0], 1.0), self.factors[:, 1].copy())
+        return turn_states(self._prediction, self.factors, self._state_knobs), knobs, told
+
+    def foresee(self, arrived: Measurement, due: Mask, status: Status) -> Update:
+        """The innovation of what arrived with the last decision's knobs still held.
+
+        Of a Gaussian sum that of its nominal component.
+
+        Args:
+            due: as for `correct`.
+            status: of the filters, to be set where one fails at this.
+        """
+        return self.filter.innovate(*self._turned(arrived, due), status)
 
     def predict(self, inputs: Array, dt: Array, active: Mask) -> None:
         """Predict the active filters over dt (B,), with inputs of the motion (B, p)."""

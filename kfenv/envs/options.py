@@ -10,11 +10,12 @@ import numpy as np
 
 from kfenv.checks import is_number
 from kfenv.envs.knobs import MOST_FADING
+from kfenv.envs.rewards import DENSE
 from kfenv.names import unknown
 from kfenv.scenarios.recording import Recording
 
 OBSERVATIONS = SHORT, FULL = "short", "full"
-REWARDS = ("rmse", "log-rmse", "improvement")
+REWARDS = ("rmse", "log-rmse", *DENSE)
 ENGINE = "srukf-joseph-exact"
 GAUSSIAN_SUMS = ("gsekf", "gsckf")
 MAX_STEP = 1.0 + 1e-6  # s

@@ -30,7 +30,8 @@ from kfenv.envs.knobs import (
 )
 from kfenv.envs.observation_page import observation_space
 from kfenv.envs.options import ENGINE, FULL, GAUSSIAN_SUMS, REWARDS, SHORT, Options
-from kfenv.envs.rewards import IMPROVEMENT_CAP, worst
+from kfenv.envs.rewards import CAP, worst
+from kfenv.envs.statistics import WINDOWS
 from kfenv.envs.wording import factor, listed, paragraphs, table, wrap
 from kfenv.filters.adaptive import told_design
 from kfenv.models.model import Component
@@ -164,14 +165,23 @@ def rewards(scenario: Any) -> str:
         - ``"log-rmse"``: the same with log(sqrt(M / N) / scale). The return is exactly minus the
           log of the RMSE over the scale.
         - ``"improvement"``: log of the RMS error of a nominal filter on the same measurements
-          over this filter's, within a decision, between {-IMPROVEMENT_CAP:g} and
-          {IMPROVEMENT_CAP:g}; of less variance, for training. Its sum weighs all decisions alike,
-          and so ranks agents otherwise than the RMSE.""",
+          over this filter's, within a decision, between {-CAP:g} and
+          {CAP:g}; of less variance, for training. Its sum weighs all decisions alike,
+          and so ranks agents otherwise than the RMSE.
+        - ``"likelihood"``, without truth: log-likelihood of the *next* innovation, formed with
+          the action still held, over the nominal filter's, per channel that arrives, between
+          {-CAP:g} and {CAP:g}. Leave the process noise among the ``actions``: with knobs of
+          measurement noise alone a manoeuvre is read as noise.
+        - ``"consistency"``, without truth: minus the mean over the channel groups of the size of
+          log RMS and of lag-1 correlation of the whitened next innovations, over some
+          {WINDOWS[-1]:g} arrivals, at least {-CAP:g}: zero where the NIS is at its chi-square mean
+          and the innovations are white. It tells noise that is misjudged, not how large errors
+          are.""",
         f"""
         A lost track pays at once for all that remained: {lost_distance / 1e3:g} km at every scored
-        instant, at most {most[0]} or, as a log, {most[1]} in all; with ``"improvement"``
-        {most[2]} for every decision. So losing it never pays. Without truth, and with the track
-        kept, the reward is zero.""",
+        instant, at most {most[0]} or, as a log, {most[1]} in all; with the other
+        three {most[2]} for every decision. So losing it never pays. Without truth, and with the
+        track kept, the first three are zero.""",
     )
 
 

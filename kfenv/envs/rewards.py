@@ -1,4 +1,4 @@
-"""Rewards: two whose return is an episode's score, and a dense surrogate for training.
+"""Rewards: two whose return is an episode's score, and dense ones for training.
 
 With ``"rmse"`` and ``"log-rmse"`` an episode has a cost, and a decision earns minus what it adds.
 The cost supposes an error of one scale wherever there is none yet, so that at first it is zero
@@ -18,7 +18,9 @@ Array = NDArray[np.float64]
 
 LOG_RMSE = "log-rmse"
 IMPROVEMENT = "improvement"
-IMPROVEMENT_CAP = 3.0  # of a decision's reward either way, and the price of each after a loss
+LABEL_FREE = LIKELIHOOD, CONSISTENCY = "likelihood", "consistency"  # see `foresight`
+DENSE = (IMPROVEMENT, *LABEL_FREE)
+CAP = 3.0  # of a dense reward either way, and the price of each decision after a loss
 
 
 def mean_square(
@@ -67,9 +69,9 @@ def _book(mean_square, to_come, error_scale, logarithmic, cost, added):
 
 
 def worst(reward: str, error_scale: float, lost_distance: float) -> float:
-    """What a track lost at once costs; of ``"improvement"`` the same for each decision."""
-    if reward == IMPROVEMENT:
-        return IMPROVEMENT_CAP
+    """What a track lost at once costs; of a dense reward the same for each decision."""
+    if reward in DENSE:
+        return CAP
     ratio = lost_distance / error_scale
     return log(ratio) if reward == LOG_RMSE else ratio
 
@@ -79,4 +81,4 @@ def improvement(nominal_squared, squared, reward):
     """Log of the nominal filter's RMS error over this one's, capped."""
     for b in range(reward.shape[0]):
         ratio = 0.5 * log((nominal_squared[b] + 1e-6) / (squared[b] + 1e-6))
-        reward[b] = max(-IMPROVEMENT_CAP, min(IMPROVEMENT_CAP, ratio))
+        reward[b] = max(-CAP, min(CAP, ratio))

@@ -2,7 +2,7 @@
 
 Let w be the worst reward, n the decisions of an episode.
 
-* Of "improvement" (and of rewards whose range nobody knows) learning sees 1 - gamma times the
+* Of the dense rewards (and of those whose range nobody knows) learning sees 1 - gamma times the
   reward, so that values are mean rewards. With m decisions to go a loss costs the lesser of
   m (1 - gamma) w and w, where it is cut; to keep the track costs w (1 - gamma^m) at most,
   which is less than either.
@@ -22,7 +22,7 @@ import numpy as np
 from gymnasium.envs.registration import load_env_creator
 
 from kfenv.envs.options import Options
-from kfenv.envs.rewards import IMPROVEMENT, worst
+from kfenv.envs.rewards import DENSE, worst
 
 from ...contest.rollout import find_spec, scenario_and_options
 
@@ -60,7 +60,7 @@ def scaling_for(env_id: str, env_kwargs: Mapping[str, Any], gamma: float) -> Sca
         ValueError: if that were nothing, not even what a lost track costs.
     """
     reward = reward_of(env_id, env_kwargs)
-    if reward in (None, IMPROVEMENT):
+    if reward in (None, *DENSE):
         if gamma == 1.0:
             raise ValueError(
                 "setting gamma = 1.0 leaves nothing of rewards that learning sees times 1 - gamma, "
