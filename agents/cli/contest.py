@@ -18,6 +18,7 @@ from .options import (
     Rinex,
     Seed,
     Track,
+    TuneOn,
     env_kwargs,
     is_real_log,
 )
@@ -53,6 +54,7 @@ def evaluate(
     tuning_trials: Annotated[
         int, typer.Option(min=0, help="Settings tried per parameter; 0: no tuning.")
     ] = 60,
+    tune_on: TuneOn = "error",
     against: Against = None,
     processes: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
     resume: Resume = False,
@@ -70,14 +72,14 @@ def evaluate(
         kwargs = env_kwargs(rate, faults, track, rinex, option)
         run_contest(
             env, kwargs, tuple(agent or _default_agents(kwargs)), episodes, seed, tuning_episodes,
-            tuning_trials, output, processes, resume, against,
+            tuning_trials, output, processes, resume, against, tune_on,
         )  # fmt: skip
 
 
 def run_contest(
     env: str, kwargs: dict[str, Any], agents: tuple[str, ...], episodes: int, seed: int,
     tuning_episodes: int, tuning_trials: int, output: Path, processes: int, resume: bool,
-    against: str | None = None,
+    against: str | None = None, tune_on: str = "error",
 ) -> None:  # fmt: skip
     """Evaluate agents, print the table and draw the figures."""
     import kfenv  # noqa: F401  (registers the environments)
@@ -86,8 +88,9 @@ def run_contest(
     from ..contest.figures import draw_contest
 
     contest = Contest(
-        env, kwargs, agents, episodes, seed, tuning_episodes, tuning_trials, against=against
-    )
+        env, kwargs, agents, episodes, seed, tuning_episodes, tuning_trials, against=against,
+        tune_on=tune_on,
+    )  # fmt: skip
     with progress() as bar:
         task = bar.add_task("agents", total=None)
         results = evaluate(

@@ -39,6 +39,17 @@ Option = Annotated[
     list[str] | None,
     typer.Option("--option", help="KEY=VALUE, any other keyword of ENV, value in JSON."),
 ]
+TuneOn = Annotated[
+    str,
+    typer.Option(
+        metavar="error|likelihood|consistency|withheld",
+        help="What tuning makes small. error: of the position, which needs the truth. The others "
+        "need none: likelihood of the next innovation, with the knobs held; consistency, NIS and "
+        "whiteness of the same; withheld, the error of foreseeing one to three measurements kept "
+        "from the filter. By likelihood alone, noise that is tuned without the process noise reads "
+        "manoeuvres as noise: name agents that have process_noise among their parameters.",
+    ),
+]
 Against = Annotated[
     str | None,
     typer.Option(help="A rival to compare every agent with, episode by episode: a name or path."),

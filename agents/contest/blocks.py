@@ -75,7 +75,8 @@ class Work:
             return agent.values
         place, seed = contest.tuning_place, contest.seed
         recording = draw_episodes(*place, "tuning", seed, contest.tuning_episodes)
-        return tune(agent, *place, recording, contest.tuning_trials, seed).values
+        trials, on = contest.tuning_trials, contest.tune_on
+        return tune(agent, *place, recording, trials, seed, on=on).values
 
     def _play(self, job: Block) -> tuple[Scores, float | None]:
         contest, agent = self.contests[job.contest], self.agents[job.agent].with_values(job.values)

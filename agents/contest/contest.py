@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from kfenv.names import unknown
+
 from ..contestants.registry import NAMES, make_agent
 from .summary import NOMINAL, TUNED
+from .yardsticks import ERROR, YARDSTICKS
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,7 @@ class Contest:
         tuning_kwargs: of the environment that agents are tuned in, if others than `env_kwargs`.
             Its faults are then what they expect in the test as well.
         against: an agent that all are compared with besides the yardsticks.
+        tune_on: what tuning makes small, see `kfenv.agents.contest.yardsticks.costs`.
     """
 
     env_id: str
@@ -36,8 +40,11 @@ class Contest:
     split: str = "test"
     tuning_kwargs: dict[str, Any] | None = None
     against: str | None = None
+    tune_on: str = ERROR
 
     def __post_init__(self) -> None:
+        if self.tune_on not in YARDSTICKS:
+            raise ValueError(unknown("yardstick of tuning", self.tune_on, YARDSTICKS))
         for name, least in (("episodes", 2), ("tuning_episodes", 1), ("tuning_trials", 0)):
             if getattr(self, name) < least:
                 raise ValueError(f"{name} must be at least {least}, got {getattr(self, name)}.")

@@ -17,6 +17,7 @@ from .contest import Contest
 from .rollout import check_scored, draw_episodes, scenario_and_options
 from .scores import read_cost, read_scores, scores_path
 from .summary import NOMINAL, TUNED, summarise
+from .yardsticks import ERROR
 
 # What is compared, not on what: an evaluated folder may gain agents and change the rival.
 COMPARED = ("agents", "against", "policies")
@@ -123,7 +124,8 @@ def _complain_first(contest: Contest) -> None:
             tuning = draw_episodes(
                 *contest.tuning_place, "tuning", contest.seed, contest.tuning_episodes
             )
-            check_scored(tuning)
+            if contest.tune_on == ERROR:
+                check_scored(tuning)
     episode = draw_episodes(*place, contest.split, contest.seed, 1)
     for contestant in map(make_agent, contest.all_agents):
         contestant.check(*scenario_and_options(*contest.expected_place), episode)
@@ -172,6 +174,7 @@ def _admit(output: Path, contest: Contest, resume: bool) -> None:
 
 def _continues(held: dict[str, Any], content: dict[str, Any]) -> bool:
     """Whether a contest compares on the same as the one held, with the same policies."""
+    held = {"tune_on": ERROR} | held  # of folders older than the choice
     one, other = ({k: v for k, v in c.items() if k not in COMPARED} for c in (held, content))
     former, now = held.get("policies", {}), content["policies"]
     return one == other and all(former[k] == now[k] for k in former.keys() & now.keys())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib import import_module
 from typing import Any
@@ -129,21 +130,13 @@ def _decide(
     block: tuple[int, int | None],
 ) -> Scores:  # fmt: skip
     """All episodes in lock-step, an action from the agent per decision."""
-    options = replace(options, recording=recording, reward="rmse", **agent.own_options)
-    core = Core(scenario, options, len(recording), recording.time, has_truth=True)
+    core = make_core(agent, scenario, options, recording, "rmse")
     watched = WatchedFilter(core.filter, scenario.sensor, core.batch, agent.sees != "nothing")
     core.filter, watch = watched, watched.watch
-    core.load(np.arange(len(recording)), recording)
-    shown = recording if agent.clairvoyant else None
-    agent.reset(Briefing(core.knobs, scenario, core.batch, seed, shown, core.interval, *block))
-    running, lost = np.ones(core.batch, bool), np.zeros(core.batch, bool)
+    lost = np.zeros(core.batch, bool)
     times, errors, factors, offs = [], [], [], []
-    while running.any():
-        seen = watch(core.observation) if agent.sees == "observation" else core.observation()
-        action = np.clip(watch(agent.act, seen, without_truth(core)), -1.0, 1.0)
-        _, gone, ended = core.step(action, running)
+    for _, gone in play(agent, core, recording, seed, watch, block):
         lost |= gone
-        running &= ~(gone | ended)
         if trace:
             times.append(recording.time[min(core.index.max(), len(recording.time)) - 1])
             errors.append(core.error.copy())
@@ -153,6 +146,41 @@ def _decide(
     traces = tuple(map(np.array, (times, errors, factors, offs))) if trace else ()
     told = watched.nis, watch.seconds
     return _settle(scenario, recording, lost, *totals, *told, *traces)
+
+
+def make_core(
+    agent: Agent, scenario: Any, options: Options, recording: Recording, reward: str
+) -> Core:
+    """The decision process of a recording's episodes, with the agent's own options."""
+    options = replace(options, recording=recording, reward=reward, **agent.own_options)
+    has_truth = recording.truth is not None
+    return Core(scenario, options, len(recording), recording.time, has_truth)
+
+
+def play(
+    agent: Agent, core: Core, recording: Recording, seed: int,
+    watch: Callable = lambda function, *arguments: function(*arguments),
+    block: tuple[int, int | None] = (0, None),
+) -> Iterator[tuple[Array, NDArray[np.bool_]]]:  # fmt: skip
+    """Let an agent decide until all episodes are over.
+
+    Args:
+        watch: calls what costs time.
+        block: as for `rollout`.
+
+    Yields:
+        After each decision its rewards (B,), and whose track it lost.
+    """
+    core.load(np.arange(len(recording)), recording)
+    shown = recording if agent.clairvoyant else None
+    agent.reset(Briefing(core.knobs, core.scenario, core.batch, seed, shown, core.interval, *block))
+    running = np.ones(core.batch, bool)
+    while running.any():
+        seen = watch(core.observation) if agent.sees == "observation" else core.observation()
+        action = np.clip(watch(agent.act, seen, without_truth(core)), -1.0, 1.0)
+        reward, gone, ended = core.step(action, running)
+        running &= ~(gone | ended)
+        yield reward, gone
 
 
 def _settle(

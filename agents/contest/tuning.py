@@ -11,7 +11,8 @@ from kfenv.envs.knobs import choose_knobs
 from kfenv.scenarios.recording import Recording
 
 from ..contestants.agent import Contestant, Parameter
-from .rollout import rollout, scenario_and_options
+from .rollout import scenario_and_options
+from .yardsticks import ERROR, Array, costs
 
 
 def tune(
@@ -22,19 +23,23 @@ def tune(
     trials: int,
     seed: int,
     advance: Callable[[], None] = lambda: None,
+    on: str = ERROR,
+    tried: Callable[[dict[str, float], Array], None] = lambda values, costs: None,
 ) -> Contestant:
-    """The agent with the parameters of least mean log RMSE over the tuning episodes.
+    """The agent with the parameters of least mean cost over the tuning episodes.
 
     On the logarithms of the parameters: a third of the trials are spread over their
     ranges, the rest are CMA-ES from the best of these and the defaults; where there is
     only one parameter, Brent's bounded search. Both may stop early. The mean log weighs
     all episodes alike, however large their errors. An error hardly tells how large covariances
-    are, only their ratios: the NIS of a tuned agent may be far from 1.
+    are, only their ratios: the NIS of an agent tuned on it may be far from 1. A likelihood does.
 
     Args:
         recording: the tuning episodes.
         trials: how many settings may be tried for each parameter.
         advance: called after each trial.
+        on: see `kfenv.agents.contest.yardsticks.costs`; the error by default.
+        tried: called with the values of each trial and the episodes' costs.
     """
     scenario, options = scenario_and_options(env_id, env_kwargs)
     own = scenario.motion.groups
@@ -51,8 +56,9 @@ def tune(
     def cost(x: np.ndarray) -> float:
         nonlocal best
         candidate = agent.with_values(_values(parameters, low + span * x))
-        scores = rollout(candidate, env_id, env_kwargs, recording, seed)
-        value = float(np.mean(np.log(scores.rmse)))
+        each = costs(on, candidate, env_id, env_kwargs, recording, seed)
+        tried(candidate.values, each)
+        value = float(np.mean(each))
         if value < best[0]:
             best = (value, np.array(x))
         advance()

@@ -59,9 +59,9 @@ class Core(Loop):
         self.error, self.nees = np.full((2, batch), np.nan)
         self.total_squared_error, self.total_nees, self.total_scored = np.zeros((3, batch))
         self._to_score, self._cost = np.zeros((2, batch))
-        self._foresight = None
+        self.foresight = None
         if options.reward in rewards.LABEL_FREE:
-            self._foresight = Foresight(options.reward, self.filter, scenario.sensor, batch, n)
+            self.foresight = Foresight(options.reward, self.filter, scenario.sensor, batch, n)
 
     # ----- episodes -----------------------------------------------------------------
 
@@ -79,8 +79,8 @@ class Core(Loop):
             begins_at_zero[chosen] = 0
         self.error[chosen] = self.nees[chosen] = np.nan
         self.begin(chosen, recording.mean, recording.factor)
-        if self._foresight is not None:
-            self._foresight.restart(chosen, recording)
+        if self.foresight is not None:
+            self.foresight.restart(chosen, recording)
         self._to_score[chosen] = np.maximum(recording.scored_instants, 1.0)
         mask = np.zeros(self.batch, bool)
         mask[chosen] = True
@@ -108,8 +108,8 @@ class Core(Loop):
         squared, nominal, count = np.zeros((3, self.batch))
         active, begin = running.copy(), self.index.copy()
         known_error = np.full(self.batch, np.nan)  # the latest of this decision
-        if self._foresight is not None:
-            self._foresight.begin()
+        if self.foresight is not None:
+            self.foresight.begin()
         for _ in range(self.interval):
             self._correct(active)
             self._score(active)
@@ -132,8 +132,8 @@ class Core(Loop):
         if self.options.reward == rewards.IMPROVEMENT:
             count = np.maximum(count, 1.0)
             reward = self._paid_for_loss(self._improvement(squared / count, nominal / count), begin)
-        elif self._foresight is not None:
-            reward = self._paid_for_loss(self._foresight.reward(), begin)
+        elif self.foresight is not None:
+            reward = self._paid_for_loss(self.foresight.reward(), begin)
         elif self.has_truth:
             reward = self._added_cost()
         else:
@@ -185,8 +185,8 @@ class Core(Loop):
         return np.minimum(self.index, self._last)
 
     def _correct(self, active: Mask) -> None:
-        if self._foresight is not None:
-            self._foresight.correct(self._measurement(), np.where(active, self.status, IDLE))
+        if self.foresight is not None:
+            self.foresight.correct(self._measurement(), np.where(active, self.status, IDLE))
         self.correct(self._measurement(), self._due, active)
         np.copyto(self._scored, self.index, where=active)
 
@@ -203,12 +203,12 @@ class Core(Loop):
 
     def _foresee(self, active: Mask) -> None:
         """Book the pending innovation as the decision's knobs, still held, foresee it."""
-        if self._foresight is None:
+        if self.foresight is None:
             return
         dt, work = self._dt[self._instant], np.where(active, self.status, IDLE)
-        self._foresight.predict(self._gather("motion_inputs"), dt, work)
+        self.foresight.predict(self._gather("motion_inputs"), dt, work)
         arrived = self._measurement()
-        self._foresight.look(self.foresee(arrived, self._due, work), arrived, dt, work)
+        self.foresight.look(self.foresee(arrived, self._due, work), arrived, dt, work)
 
     def _score(self, active: Mask) -> None:
         if self.has_truth:

@@ -8,7 +8,7 @@ filter's own (Bar-Shalom, Li and Kirubarajan 2001, sec 5.4.2), by which static n
 
 from __future__ import annotations
 
-from math import inf, log
+from math import log
 
 import numpy as np
 from numba import njit
@@ -34,6 +34,10 @@ class Foresight:
         sensor: tells which channels belong together.
         batch: B.
         states: n.
+
+    Attributes:
+        gained, arrived: (B,) log-likelihood over the nominal filter's, and channels that arrived,
+            of the last decision.
     """
 
     def __init__(
@@ -48,7 +52,7 @@ class Foresight:
         )
         self._status = np.zeros(batch, np.int64)
         self._statistics = np.zeros((batch, len(sensor.groups), statistics.COLUMNS))
-        self._since, self._gained, self._arrived = np.zeros((3, batch))
+        self._since, self.gained, self.arrived = np.zeros((3, batch))
 
     def restart(self, chosen: NDArray[np.int64], recording: Recording) -> None:
         """Begin episodes at the chosen places."""
@@ -61,7 +65,7 @@ class Foresight:
 
     def begin(self) -> None:
         """Of a decision."""
-        self._gained[:] = self._arrived[:] = 0.0
+        self.gained[:] = self.arrived[:] = 0.0
 
     def correct(self, arrived: Measurement, status: Status) -> None:
         """The nominal filter takes in what the agents' filters do; idle where the status says."""
@@ -84,7 +88,7 @@ class Foresight:
             rival = self._filter.innovate(self._prediction, self._knobs, arrived, work)
             _book(
                 foreseen.log_likelihood, rival.log_likelihood, arrived.value, status, work,
-                self._gained, self._arrived,
+                self.gained, self.arrived,
             )  # fmt: skip
         else:
             statistics.collect(
@@ -95,7 +99,7 @@ class Foresight:
         """What the decision earns (B,)."""
         earned = np.zeros(len(self._since))
         if self._likelihood:
-            _mean_gain(self._gained, self._arrived, earned)
+            _mean_gain(self.gained, self.arrived, earned)
         else:
             _inconsistency(self._statistics, earned)
         return earned
@@ -113,7 +117,7 @@ def _take(work: Status, kept: tuple[Array, ...], new: tuple[Array, ...]) -> None
 
 @njit(cache=True, error_model="numpy")
 def _book(foreseen, rival, value, status, rival_status, gained, arrived):
-    """Add up log-likelihoods over the nominal filter's; one that has failed foresees nothing."""
+    """Add up log-likelihoods over the nominal filter's, of which a failed one has the least."""
     for b in range(value.shape[0]):
         if status[b] != 0:
             continue
@@ -121,7 +125,7 @@ def _book(foreseen, rival, value, status, rival_status, gained, arrived):
         for c in range(value.shape[1]):
             count += not np.isnan(value[b, c])
         if count > 0:
-            gained[b] += foreseen[b] - rival[b] if rival_status[b] == 0 else inf
+            gained[b] += foreseen[b] - rival[b] if rival_status[b] == 0 else CAP * count
             arrived[b] += count
 
 
