@@ -10,6 +10,7 @@ from kfenv.filters.designs import DESIGNS
 from .contest import evaluate
 from .demo import demo
 from .environments import envs
+from .export import export
 from .inspect import inspect
 from .limit import limit
 from .outages import outages
@@ -32,6 +33,7 @@ app.command(epilog=FAMILY)(evaluate)
 app.command()(limit)
 app.command()(inspect)
 app.command()(outages)
+app.command()(export)
 app.command()(suites)
 app.command()(suite)
 app.command()(leaderboard)

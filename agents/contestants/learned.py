@@ -42,6 +42,7 @@ class Learned(Agent):
     def __init__(self, path: str | Path, name: str | None = None) -> None:
         path = Path(path)
         path = path / "policy.npz" if path.is_dir() else path
+        self.path = path
         self.policy = NumpyPolicy.load(path)
         super().__init__(name or (path.parent.name if path.name == "policy.npz" else path.stem))
 

@@ -167,7 +167,11 @@ class Loop:
             self._memory.collect(self._pending, arrived, dt, work == 0)
 
     def observe(self, noise: Array, held: Array, pends: Mask) -> NDArray[np.float32]:
-        """A fresh (B, D) array; see `feature_names`.
+        """The observation, a fresh (B, D) array: `features` in single precision."""
+        return self.features(noise, held, pends).astype(np.float32)
+
+    def features(self, noise: Array, held: Array, pends: Mask) -> Array:
+        """What `feature_names` names, a fresh (B, D) array.
 
         Args:
             noise: (B, m) deviations that the filter is told of what was looked at.
@@ -189,7 +193,7 @@ class Loop:
             self._memory.observe(self._pending.mean, held, pends, rest)
         out[:, -len(self.knobs) :] = self._action
         out[self.status != 0] = 0.0
-        return out.astype(np.float32)
+        return out
 
     def tell(self, noise: Array, pends: Mask) -> dict[str, Any]:
         """Fresh arrays (B, ...) of the last estimate and of the pending innovation.
@@ -208,6 +212,11 @@ class Loop:
         if self._channels is not None:
             told["innovation_covariance"] = pends[..., None] * self._channels.covariance
         return told
+
+    @property
+    def pending(self) -> Update:
+        """What each filter sees of the measurement that it looked at, with nominal knobs."""
+        return self._pending
 
     @property
     def latest(self) -> Update:

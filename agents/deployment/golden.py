@@ -1,0 +1,126 @@
+"""Steps of a filter and what a policy makes of them, in double precision: for tests elsewhere."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kfenv.envs import memory
+from kfenv.envs.loop import Loop
+from kfenv.filters.protocol import Measurement, measured
+from kfenv.models.namespaces import batch
+from kfenv.scenarios.recording import Recording
+
+from .deployable import Deployable
+
+Array = NDArray[np.float64]
+
+ONE = np.ones(1, bool)
+MOST_STEPS, MOST_NUMBERS = 240, 20_000
+WITHHELD = 0.1  # of the channels, so that missing ones are met
+
+
+class Instant(NamedTuple):
+    """What a filter knows before an update, under nominal knobs; see `kfenv_instant` in C."""
+
+    innovation: Array  # (m,), NaN where missing
+    covariance: Array  # (m, m) of the innovation
+    noise: Array  # (m,) told deviations
+    dt: float
+    deviation: float
+    rate_deviation: float
+    distance: float
+    rate: Array
+    acceleration: Array
+
+
+class Golden(NamedTuple):
+    """Instants in order, the features and the knobs that a policy sets at each."""
+
+    instants: list[Instant]
+    observations: list[Array]
+    knobs: list[Array]
+
+
+def golden(deployable: Deployable) -> Golden:
+    """The first steps of an episode of the environment, some measurements withheld.
+
+    Features, network and knobs in double precision, so that other arithmetic can be compared.
+    """
+    loop, network = deployable.loop, deployable.policy.network
+    recording = _episode(deployable)
+    times = recording.time
+    first = times[1] - times[0]
+    loop.begin(np.zeros(1, np.int64), recording.mean, recording.factor)
+    start = recording.mean[0, list(loop.scenario.motion.position)]
+    origin = loop.scenario.local_frame(start)[0]
+    held, told = np.zeros((1, network.memory_size)), Golden([], [], [])
+    for t, dt in enumerate(np.diff(times, prepend=times[0] - first)):
+        passed, arrived = np.array([dt if t else 0.0]), measured(recording, t)
+        if t:
+            loop.predict(recording.motion_inputs[:, t].copy(), passed, ONE)
+        loop.look(arrived, passed, ONE)
+        if t % loop.interval == 0:
+            observation = loop.features(arrived.noise, np.array([loop.interval * dt]), ONE)
+            action, held = network.decide(observation, held)
+            loop.turn(np.clip(action, -1.0, 1.0), ONE)
+        if loop.status[0]:
+            break
+        told.instants.append(_instant(loop, arrived, dt, origin))
+        told.observations.append(observation[0])
+        told.knobs.append(loop.factors[0, loop.knob_place])
+        loop.correct(arrived, np.array([t % loop.scenario.steps_per_measurement == 0]), ONE)
+    return told
+
+
+def _episode(deployable: Deployable) -> Recording:
+    """Its beginning, with channels missing here and there."""
+    scenario, rng = deployable.loop.scenario, np.random.default_rng(0)
+    whole = scenario.sample([rng])
+    channels = whole.measurement.shape[2]
+    width = channels**2 + 2 * channels + deployable.policy.observation_size
+    steps = min(MOST_STEPS, MOST_NUMBERS // width, len(whole.time))
+    measurement = whole.measurement[:, :steps].copy()
+    measurement[rng.random(measurement.shape) < WITHHELD] = np.nan
+    return Recording(
+        whole.time[:steps], measurement, whole.noise[:, :steps], whole.mean, whole.factor,
+        whole.motion_inputs[:, :steps], whole.sensor_inputs[:, :steps],
+    )  # fmt: skip
+
+
+def _instant(loop: Loop, arrived: Measurement, dt: float, origin: Array) -> Instant:
+    motion, pending = loop.scenario.motion, loop.pending
+    mean, factor = pending.mean[0], pending.factor[0]
+    places, rates = list(motion.position), list(motion.velocity)
+    return Instant(
+        pending.innovation[0], innovation_covariance(loop, arrived), arrived.noise[0], dt,
+        np.sqrt(np.sum(factor[places] ** 2)), np.sqrt(np.sum(factor[rates] ** 2)),
+        np.sqrt(np.sum((mean[places] - origin) ** 2)),
+        mean[rates], mean[memory.accelerations(motion)],
+    )  # fmt: skip
+
+
+def innovation_covariance(loop: Loop, arrived: Measurement) -> Array:
+    """The covariance (m, m) of a single filter's pending innovation, by its sigma points.
+
+    Of channels that are missing it tells what it would be.
+    """
+    sensor, kappa = loop.scenario.sensor, loop.options.kappa
+    mean, factor = loop.pending.mean[0], loop.pending.factor[0]
+    n = len(mean)
+    spread = np.sqrt(n + kappa) * factor
+    points = np.concatenate([mean[:, None], mean[:, None] + spread, mean[:, None] - spread], axis=1)
+    weight = np.append(kappa, np.full(2 * n, 0.5)) / (n + kappa)
+    seen = sensor.build(batch)(tuple(points), tuple(arrived.inputs[0]))
+    off = np.stack([np.broadcast_to(z, points.shape[1:]) for z in seen])
+    off = _wrapped(off - off[:, :1], sensor)
+    off = off - (off @ weight)[:, None]
+    return (off * weight) @ off.T + np.diag(arrived.noise[0] ** 2)
+
+
+def _wrapped(off: Array, sensor: Any) -> Array:
+    angle = [channel.angle for channel in sensor.channels]
+    off[angle] = np.arctan2(np.sin(off[angle]), np.cos(off[angle]))
+    return off
