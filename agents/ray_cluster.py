@@ -82,7 +82,8 @@ def work_off(
     try:
         while waiting or running:
             while waiting and len(running) < (at_once or _suitable()):
-                running[remote.remote(packed, waiting[0])] = waiting.popleft()
+                job = waiting.popleft()
+                running[remote.remote(packed, job)] = job
             [done], _ = ray.wait(list(running), num_returns=1)
             job = running.pop(done)
             try:

@@ -62,6 +62,7 @@ def test_evaluate_writes_results_and_figures(tmp_path):
         (["--rate", "-2"], "rate"),
         (["--option", "rate"], "KEY=VALUE"),
         (["--track", "no_such.csv"], "no_such.csv"),
+        (["--executor", "processses"], "Did you mean 'processes'"),
         (["--agent", __file__], "test_command_line.py"),
     ],
 )

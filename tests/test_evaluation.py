@@ -154,6 +154,13 @@ def test_intervals_of_few_episodes_cover_or_are_none(count):
             assert np.mean([low <= truth <= high for low, high in told]) >= 0.925
 
 
+def test_intervals_of_many_values_take_little_memory_and_are_those_of_the_bootstrap():
+    values = np.random.default_rng(3).exponential(size=20_000)
+    for interval in (median_interval, mean_interval):
+        resampled, told = interval(values, 0), interval(np.append(values, 1.0), 0)
+        np.testing.assert_allclose(told, resampled, atol=0.15 * np.ptp(resampled))
+
+
 def test_where_an_error_is_exactly_zero_json_stays_valid(tmp_path):
     exact = Scores(np.zeros(7), np.zeros(7, bool), np.full(7, np.inf), np.full((7, 1), np.nan), 1.0)
     other = replace(exact, rmse=np.arange(7.0))

@@ -7,12 +7,15 @@ from typing import Annotated, Any
 
 import typer
 
+from ..executor import Workers
 from .console import complaints, console, progress
 from .options import (
     Against,
     Environment,
+    Executor,
     Faults,
     Option,
+    Processes,
     Rate,
     Resume,
     Rinex,
@@ -21,6 +24,7 @@ from .options import (
     TuneOn,
     env_kwargs,
     is_real_log,
+    workers,
 )
 from .tables import results_table
 
@@ -56,7 +60,8 @@ def evaluate(
     ] = 60,
     tune_on: TuneOn = "error",
     against: Against = None,
-    processes: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
+    processes: Processes = 2,
+    executor: Executor = "processes",
     resume: Resume = False,
 ) -> None:
     """Contest agents on the same unseen episodes: table, figures, results.json.
@@ -72,13 +77,13 @@ def evaluate(
         kwargs = env_kwargs(rate, faults, track, rinex, option)
         run_contest(
             env, kwargs, tuple(agent or _default_agents(kwargs)), episodes, seed, tuning_episodes,
-            tuning_trials, output, processes, resume, against, tune_on,
+            tuning_trials, output, workers(executor, processes), resume, against, tune_on,
         )  # fmt: skip
 
 
 def run_contest(
     env: str, kwargs: dict[str, Any], agents: tuple[str, ...], episodes: int, seed: int,
-    tuning_episodes: int, tuning_trials: int, output: Path, processes: int, resume: bool,
+    tuning_episodes: int, tuning_trials: int, output: Path, processes: Workers, resume: bool,
     against: str | None = None, tune_on: str = "error",
 ) -> None:  # fmt: skip
     """Evaluate agents, print the table and draw the figures."""

@@ -10,7 +10,19 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from .console import complaints, console, progress
-from .options import Environment, Faults, Option, Rate, Resume, Seed, Track, env_kwargs
+from .options import (
+    Environment,
+    Executor,
+    Faults,
+    Option,
+    Processes,
+    Rate,
+    Resume,
+    Seed,
+    Track,
+    env_kwargs,
+    workers,
+)
 
 
 def limit(
@@ -26,7 +38,8 @@ def limit(
     faults: Faults = None,
     track: Track = None,
     option: Option = None,
-    processes: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
+    processes: Processes = 2,
+    executor: Executor = "processes",
     resume: Resume = False,
 ) -> None:
     """Run the particle filter that knows how the faults are drawn: slow, a limit.
@@ -43,7 +56,7 @@ def limit(
         with progress() as bar:
             task = bar.add_task("blocks of episodes", total=None)
             summary = measure_limit(
-                chosen, output, processes, resume,
+                chosen, output, workers(executor, processes), resume,
                 started=lambda total: bar.update(task, total=total),
                 advance=lambda: bar.update(task, advance=1),
             )  # fmt: skip

@@ -8,6 +8,11 @@ from typing import Annotated, Any
 
 import typer
 
+from kfenv.names import unknown
+
+from ..executor import Workers
+from ..ray_cluster import RayCluster
+
 Environment = Annotated[str, typer.Argument(metavar="ENV", help="An id that `kfenv envs` lists.")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same result.")]
 Rate = Annotated[
@@ -62,6 +67,26 @@ ResumeTraining = Annotated[
         "ppo and sac are pickles, and reading them runs the code that they hold."
     ),
 ]
+
+
+Processes = Annotated[int, typer.Option(min=1, help="Worker processes of this machine.")]
+Executor = Annotated[
+    str,
+    typer.Option(
+        metavar="WHERE",
+        help="'processes' of this machine, or 'ray' (the cluster of RAY_ADDRESS, else a Ray of "
+        "so many --processes here), or a cluster's address: ray://HOST:PORT or HOST:PORT.",
+    ),
+]
+
+
+def workers(executor: str, processes: int) -> Workers:
+    """Who works: so many processes, or a cluster."""
+    if executor == "processes":
+        return processes
+    if executor != "ray" and ":" not in executor:
+        raise ValueError(unknown("executor", executor, ("processes", "ray", "ray://HOST:PORT")))
+    return RayCluster(None if executor == "ray" else executor, processes)
 
 
 def env_kwargs(

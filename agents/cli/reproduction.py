@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from .console import complaints, console, progress
-from .options import Resume, Seed
+from .options import Executor, Processes, Resume, Seed, workers
 
 
 def reproduce(
@@ -21,7 +21,8 @@ def reproduce(
         int | None, typer.Option(min=2, help="In place of each experiment's own number.")
     ] = None,
     seed: Seed = 0,
-    processes: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
+    processes: Processes = 2,
+    executor: Executor = "processes",
     resume: Resume = False,
     almanac: Annotated[
         Path | None,
@@ -46,8 +47,9 @@ def reproduce(
     with complaints():
         names = chosen_experiments(experiment)
         satellites = None if almanac is None else str(almanac.resolve())
+        where = workers(executor, processes)
         with progress() as bar:
-            claims = run_experiments(names, output, runs, seed, processes, resume, bar, satellites)
+            claims = run_experiments(names, output, runs, seed, where, resume, bar, satellites)
         console.print(claims_table(claims))
         console.print(f"Figures and claims: {output}")
 

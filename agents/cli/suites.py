@@ -10,7 +10,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from .console import complaints, console, progress
-from .options import Against, Resume
+from .options import Against, Executor, Processes, Resume, workers
 from .tables import results_table
 
 
@@ -52,7 +52,8 @@ def suite(
         typer.Option(help="A real flight (CSV), or a folder of them, as further cases; repeat."),
     ] = None,
     against: Against = None,
-    processes: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
+    processes: Processes = 2,
+    executor: Executor = "processes",
     resume: Resume = False,
 ) -> None:
     """Run a frozen suite: agents are tuned once and tested in and out of distribution.
@@ -72,7 +73,7 @@ def suite(
         with progress() as bar:
             task = bar.add_task("agents", total=None)
             results = run_suite(
-                run, output, processes, resume,
+                run, output, workers(executor, processes), resume,
                 started=lambda total: bar.update(task, total=total),
                 advance=lambda what: bar.update(task, advance=1, description=f"{what} done"),
             )  # fmt: skip

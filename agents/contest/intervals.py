@@ -11,35 +11,39 @@ Array = NDArray[np.float64]
 Interval = tuple[float, float] | tuple[None, None]
 
 RESAMPLES = 5000
+BATCH = 10_000_000  # numbers that are resampled at once
 CONFIDENCE = 0.95
 FEWEST = 6  # values: the least and the largest of five hold the median in 94 % of trials
 FEW = 30  # values: resampled, fewer of them cover too rarely
+MANY = 20_000  # values: resampling more takes gigabytes, to tell what ranks and Student's t tell
 
 
 def median_interval(values: Array, seed: int) -> Interval:
-    """Confidence interval of the median: by order statistics, or of many by the bootstrap.
+    """Confidence interval of the median: of `FEW` to `MANY` values by the bootstrap.
 
-    None of fewer than `FEWEST` values.
+    By order statistics of others, and none of fewer than `FEWEST`.
     """
     return _interval(values, np.median, _between_ranks, seed)
 
 
 def mean_interval(values: Array, seed: int) -> Interval:
-    """Confidence interval of the mean: Student's, or of many by the bootstrap.
+    """Confidence interval of the mean: of `FEW` to `MANY` values by the bootstrap.
 
-    None of fewer than `FEWEST` values.
+    Student's of others, and none of fewer than `FEWEST`.
     """
     return _interval(values, np.mean, _students, seed)
 
 
 def _interval(
-    values: Array, statistic: Callable, of_few: Callable[[Array], Interval], seed: int
+    values: Array, statistic: Callable, of_others: Callable[[Array], Interval], seed: int
 ) -> Interval:
     if len(values) < FEWEST:
         return None, None
     if np.ptp(values) == 0.0:
         return float(values[0]), float(values[0])
-    return of_few(values) if len(values) < FEW else _percentiles(values, statistic, seed)
+    if FEW <= len(values) <= MANY:
+        return _percentiles(values, statistic, seed)
+    return of_others(values)
 
 
 def _between_ranks(values: Array) -> Interval:
@@ -64,7 +68,7 @@ def _percentiles(values: Array, statistic: Callable, seed: int) -> Interval:
 
     result = bootstrap(
         (values,), statistic, n_resamples=RESAMPLES, confidence_level=CONFIDENCE,
-        method="percentile", rng=np.random.default_rng(seed),
+        method="percentile", rng=np.random.default_rng(seed), batch=1 + BATCH // len(values),
     )  # fmt: skip
     interval = result.confidence_interval
     return float(interval.low), float(interval.high)

@@ -11,6 +11,8 @@ from rich.progress import Progress
 
 from kfenv.names import unknown
 
+from ..carried import carried
+from ..executor import Workers
 from ..files import clear_partial, is_free
 from . import (
     bistatic,
@@ -80,7 +82,7 @@ def reproduce(
     output: Path,
     runs: int | None,
     seed: int,
-    processes: int,
+    processes: Workers,
     resume: bool,
     progress: Progress,
     almanac: str | None = None,
@@ -112,7 +114,7 @@ def reproduce(
         folder = output / name
         folder.mkdir(parents=True, exist_ok=True)
         found = experiment.reproduce(
-            Laboratory(folder, runs or experiment.runs, seed, processes, progress, almanac)
+            Laboratory(folder, runs or experiment.runs, seed, processes, progress, carried(almanac))
         )
         found = [replace(claim, runs=runs or experiment.runs, seed=seed) for claim in found]
         write_claims(found, folder)

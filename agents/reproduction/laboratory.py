@@ -10,6 +10,7 @@ from typing import Any
 from matplotlib.figure import Figure
 from rich.progress import Progress
 
+from ..executor import Workers
 from ..plotting import save
 from .monte_carlo import Method, Outcome, Study, run_study
 
@@ -22,7 +23,7 @@ class Laboratory:
         folder: of this experiment alone; figures go into it, finished runs below it.
         runs: the number that the experiment's main study should make.
         seed: of all recordings.
-        processes: worker processes.
+        processes: so many of this machine, or a cluster's.
         progress: shows a bar for each study.
         almanac: path of a YUMA file for E4, in place of the baseline constellation.
     """
@@ -30,7 +31,7 @@ class Laboratory:
     folder: Path
     runs: int
     seed: int
-    processes: int
+    processes: Workers
     progress: Progress
     almanac: str | None = None
 

@@ -24,7 +24,7 @@ from kfenv.models.model import Sensor
 from kfenv.models.namespaces import batch
 from kfenv.scenarios.recording import Recording
 
-from ..executor import run_jobs
+from ..executor import Workers, run_jobs
 from ..files import clear_partial, read_arrays, written_whole
 
 Array = NDArray[np.float64]
@@ -136,7 +136,7 @@ class Outcome(NamedTuple):
 def run_study(
     study: Study,
     folder: Path,
-    processes: int = 2,
+    processes: Workers = 2,
     advance: Callable[[int], None] = lambda runs: None,
 ) -> dict[str, Outcome]:
     """Run a study, or what is left of it, and return each method's outcome by label.
@@ -145,7 +145,7 @@ def run_study(
     study's settings, so that an interrupted study goes on where it stopped.
 
     Args:
-        processes: worker processes.
+        processes: so many of this machine, or a cluster's.
         advance: called with the number of runs that were finished.
     """
     folder = folder / study.key
