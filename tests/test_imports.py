@@ -30,6 +30,7 @@ MAY_IMPORT = {
     "kfenv.agents.learning": AGENTS | {"kfenv.agents.contestants", "kfenv.agents.contest"},
     "kfenv.agents.deployment": AGENTS | {"kfenv.agents.contestants", "kfenv.agents.contest"},
     "kfenv.agents.reproduction": AGENTS,
+    "kfenv.agents.tuning": AGENTS | {"kfenv.agents.contestants", "kfenv.agents.contest"},
 }
 MAY_IMPORT["kfenv.agents.cli"] = AGENTS | set(MAY_IMPORT)
 

@@ -18,6 +18,7 @@ from .reproduction import claims, reproduce
 from .speed import bench
 from .suites import leaderboard, suite, suites
 from .training import train
+from .tune import tune
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -34,6 +35,7 @@ app.command()(limit)
 app.command()(inspect)
 app.command()(outages)
 app.command()(export)
+app.command()(tune)
 app.command()(suites)
 app.command()(suite)
 app.command()(leaderboard)
