@@ -294,7 +294,8 @@ def options(scenario: Any) -> str:
         - ``render_mode``: ``"rgb_array"``, ``"human"`` or None (default).""",
         """
         The vector environment also takes ``num_envs`` and ``autoreset_mode``
-        (``"next_step"``, ``"same_step"`` or ``"disabled"``), and does not render.""",
+        (``"next_step"``, ``"same_step"`` or ``"disabled"``), ``info="none"`` to tell nothing and be
+        faster, and does not render.""",
     )
 
 
@@ -325,8 +326,10 @@ def vector_arguments(scenario: Any) -> str:
     megabytes = 8e-6 * numbers * len(scenario.time)
     return paragraphs(f"""
         Takes ``num_envs`` and ``autoreset_mode`` (``"next_step"`` by default, ``"same_step"``
-        for libraries that expect a fresh observation at once, ``"disabled"``) and every argument
-        of the single environment but ``render_mode``. Sub-environment i seeded with s + i gives
+        for libraries that expect a fresh observation at once, ``"disabled"``), ``info``
+        (``"full"``, or ``"none"`` for empty ones, which learners seldom read and which take time),
+        ``max_episode_steps`` (as `gymnasium.make` does), and every argument of the single
+        environment but ``render_mode``. Sub-environment i seeded with s + i gives
         the same bits as a single environment seeded so; of a ``recording`` it replays the
         episodes i, i + num_envs, and so on. A sub-environment holds its episode, {megabytes:.2g} MB
         by default.""")

@@ -20,6 +20,7 @@ from kfenv.names import unknown
 from kfenv.scenarios.recording import Recording
 
 RENDER_MODES = ("rgb_array", "human")
+INFOS = FULL, NONE = "full", "none"
 
 
 class TrackingEnv(gym.Env):
@@ -123,16 +124,25 @@ class TrackingVectorEnv(VectorEnv):
         num_envs: int = 1,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        info: str = FULL,
+        max_episode_steps: int | None = None,
         **keywords: Any,
     ) -> None:
         if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
             raise ValueError(f"num_envs must be a positive whole number, got {num_envs!r}.")
         if render_mode is not None:
             raise ValueError("The vector environment does not render: use gym.make for that.")
+        if info not in INFOS:
+            raise ValueError(unknown("info", info, INFOS))
+        if max_episode_steps is not None and not max_episode_steps >= 1:
+            raise ValueError(f"max_episode_steps must be positive, got {max_episode_steps!r}.")
         self.num_envs = num_envs
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": []}
         self.render_mode = None
+        self._tells = info == FULL
+        self._most_steps = np.inf if max_episode_steps is None else max_episode_steps
+        self._steps = np.zeros(num_envs, np.int64)
         self.scenario, self.options = split_keywords(self.scenario_class, keywords)
         self.core = _make_core(self.scenario, self.options, num_envs)
         self.single_observation_space, self.single_action_space = _spaces(self.core)
@@ -185,7 +195,7 @@ class TrackingVectorEnv(VectorEnv):
                 self._rngs[i], self._seeds[i] = seeding.np_random(seeds[i])
                 self._episodes[i] = 0
         self._begin(mask)
-        return self.core.observation(), _vector_info(_without_nan(self.core.information()), mask)
+        return self.core.observation(), self._info(mask)
 
     def step(
         self, actions: NDArray
@@ -210,6 +220,8 @@ class TrackingVectorEnv(VectorEnv):
             )
         running = ~due
         reward, lost, ended = self.core.step(actions, running)
+        self._steps += running
+        ended |= running & (self._steps >= self._most_steps)
         over = lost | ended
         infos: dict[str, Any] = {}
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
@@ -221,14 +233,20 @@ class TrackingVectorEnv(VectorEnv):
             self._over = over
             if due.any():
                 self._begin(due)
-        infos.update(
-            _vector_info(_without_nan(self.core.information()), np.ones(self.num_envs, bool))
-        )
+        infos.update(self._info(np.ones(self.num_envs, bool)))
         begun_now = over if self.autoreset_mode == AutoresetMode.SAME_STEP else due
         infos.update(self._knobs(~begun_now))
         return self.core.observation(), reward, lost, ended, infos
 
+    def _info(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
+        """What the core tells of sub-environments, if it is to be told."""
+        if not self._tells:
+            return {}
+        return _vector_info(_without_nan(self.core.information()), mask)
+
     def _knobs(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
+        if not self._tells:
+            return {}
         factors = {
             knob.name: self.core.factors[:, place].copy()
             for knob, place in zip(self.core.knobs, self.core.knob_place, strict=True)
@@ -241,12 +259,11 @@ class TrackingVectorEnv(VectorEnv):
         last = self.core.observation()
         for i in np.flatnonzero(over):
             observations[i] = last[i]
-        info = _vector_info(_without_nan(self.core.information()), over)
-        info.update(self._knobs(over.copy()))
-        return {
-            "final_obs": observations,
-            "_final_obs": over.copy(),
-            "final_info": info,
+        told = {"final_obs": observations, "_final_obs": over.copy()}
+        if not self._tells:
+            return told
+        return told | {
+            "final_info": self._info(over) | self._knobs(over.copy()),
             "_final_info": over.copy(),
         }
 
@@ -258,6 +275,7 @@ class TrackingVectorEnv(VectorEnv):
         self._episodes[chosen] += 1
         self._over[chosen] = False
         self._begun[chosen] = True
+        self._steps[chosen] = 0
 
     def _generator(self, i: int) -> np.random.Generator:
         if self._rngs[i] is None:
