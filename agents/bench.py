@@ -24,6 +24,8 @@ from kfenv.scenarios.radar.tracking import RadarTracking
 from kfenv.scenarios.recording import Recording
 from kfenv.scenarios.scenario import TrackingScenario
 
+from . import own_speed
+
 ENV_ID = "kfenv/RadarTracking-v0"
 FILTERS = 1024
 SUB_ENVIRONMENTS = 256
@@ -43,6 +45,7 @@ def benchmark(advance: Callable[[str], None] = lambda what: None) -> list[Row]:
     rows = []
     for name, measure in (
         ("engine", _engine_rows),
+        ("models of one's own", _own_rows),
         ("environments", _environment_rows),
         ("start-up", _start_up_rows),
     ):
@@ -87,6 +90,21 @@ def _engine_rows() -> list[Row]:
         Row("the same, n=11, m=24, GNSS: measured at every step, at every tenth",
             f"{every:,.0f}, {tenth:,.0f} steps/s", part, ""),
     ]  # fmt: skip
+
+
+def _own_rows() -> list[Row]:
+    speed = own_speed.measured(_best)
+    ratio = speed["own"] / speed["built-in"]
+    first = "engine, n=9, m=3, constant acceleration in a user's words"
+    rows = [Row(first, f"{speed['own']:,.0f} steps/s", f"{ratio:.2f} x the built-in one", "0.9 x")]
+    what = "NumPy functions, n=4, m=2, a batch of {}"
+    for name, count, promised in (("alone", 1, "1 x"), ("together", own_speed.TOGETHER, "20 x")):
+        told = f"1/{speed['engine'] / speed[name]:.0f} of the engine's for {own_speed.TOGETHER}"
+        if "FilterPy" in speed:
+            told = f"{speed[name] / speed['FilterPy']:.1f} x FilterPy's UKF, {told}"
+        rows.append(Row(what.format(count), f"{speed[name]:,.0f} steps/s", told,
+                        f"{promised} FilterPy"))  # fmt: skip
+    return rows
 
 
 def _engine_run(scenario: TrackingScenario) -> tuple[Callable[[], Run], int, Recording]:

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
+import cloudpickle
+
 from kfenv.kernel_cache import alone_on_this_machine
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # of linear algebra
@@ -34,7 +36,7 @@ class Task:
 
     def packed(self) -> bytes:
         """The task as it travels."""
-        return pickle.dumps(self)
+        return cloudpickle.dumps(self)  # a notebook's functions are not found by their names
 
 
 def run_packed(packed: bytes, job: Any) -> Any:

@@ -13,6 +13,7 @@ _MODULES = {
     "kfenv/BistaticTracking-v0": "kfenv.envs.bistatic",
     "kfenv/InsGnss-v0": "kfenv.envs.inertial",
     "kfenv/GnssTracking-v0": "kfenv.envs.gnss",
+    "kfenv/Filter-v0": "kfenv.envs.own",
 }
 ENVIRONMENTS = tuple(_MODULES)
 

@@ -19,6 +19,7 @@ TRACKING, VALIDATION = "kfenv/RadarTracking-v0", "kfenv/RadarValidation-v0"
 BISTATIC = "kfenv/BistaticTracking-v0"
 INERTIAL = "kfenv/InsGnss-v0"
 GNSS = "kfenv/GnssTracking-v0"
+OWN = "kfenv/Filter-v0"
 
 # Faults of every scenario, short and mild enough for short episodes.
 FAULTS = {
@@ -51,8 +52,14 @@ PECULIAR = {
     BISTATIC: Peculiar(9.0),
     INERTIAL: Peculiar(200.0),
     GNSS: Peculiar(20.0, follows_rate=("measurement_rate",)),
+    OWN: Peculiar(0.5),
 }
 assert set(PECULIAR) == set(kfenv.ENVIRONMENTS)
+
+
+def error_name(env_id: str) -> str:
+    """Of the error in info."""
+    return "scored_error" if env_id == OWN else "position_error"
 
 
 def short(env_id: str, **keywords) -> dict:
@@ -95,7 +102,7 @@ def truth_leaves(recording, k, scenario, far=2.0):
     """The truth jumps so many loss distances away at index k: beyond one, the track is lost."""
 
     def leave(truth):
-        truth[:, k:, scenario.motion.position[0]] += far * scenario.lost_distance
+        truth[:, k:, scenario.yardstick.states[0]] += far * scenario.lost_distance
 
     return change(recording, truth=leave)
 

@@ -14,6 +14,7 @@ from rollouts import (
     assert_same,
     change,
     draw,
+    error_name,
     every_environment,
     make,
     make_vec,
@@ -121,7 +122,7 @@ def test_sub_environment_equals_the_single_one_seeded_alike(env_id, setting):
             np.testing.assert_array_equal(observation, batch[i])
             for value, values in zip(rest[:-1], batch_rest[:-1], strict=True):
                 assert value == values[i]
-            for key in ("time", "estimate", "position_error", "nis", "nees", "innovation"):
+            for key in ("time", "estimate", error_name(env_id), "nis", "nees", "innovation"):
                 np.testing.assert_array_equal(rest[-1][key], batch_rest[-1][key][i], key)
 
 

@@ -11,7 +11,17 @@ import numpy as np
 import pytest
 from kfenv.agents.contest.rollout import scenario_and_options
 from kfenv.agents.contestants.registry import make_agent
-from rollouts import BISTATIC, TRACKING, draw, every_environment, make, play, random_actions, short
+from rollouts import (
+    BISTATIC,
+    TRACKING,
+    draw,
+    error_name,
+    every_environment,
+    make,
+    play,
+    random_actions,
+    short,
+)
 
 from kfenv.filters.adaptive import ADAPTIVE_DESIGNS
 from kfenv.filters.designs import DESIGNS
@@ -45,7 +55,7 @@ def test_environment_is_as_committed(env_id, compare):
     env = make(env_id)
     actions = random_actions(env.action_space.shape, DECISIONS)
     _, *steps = play(env, actions, seed=0)
-    rows = [[*seen, reward, info["position_error"]] for seen, reward, _, _, info in steps]
+    rows = [[*seen, reward, info[error_name(env_id)]] for seen, reward, _, _, info in steps]
     assert len(rows) == DECISIONS
     compare(env_id.removeprefix("kfenv/"), np.array(rows, np.float64))
 

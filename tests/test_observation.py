@@ -9,6 +9,7 @@ from rollouts import (
     VALIDATION,
     change,
     draw,
+    error_name,
     every_environment,
     make,
     make_vec,
@@ -70,8 +71,9 @@ def test_bounded_and_finite_where_the_world_goes_mad(env_id):
 def test_the_truth_is_not_in_it(env_id):
     recording = draw(env_id, range(2))
     actions = random_actions(make_vec(env_id, 2).action_space.shape, 12)
+    away = min(123.0, 0.1 * make(env_id).scenario.lost_distance)
     untrue = change(
-        recording, truth=recording.truth + 123.0, true_noise=recording.true_noise * 3,
+        recording, truth=recording.truth + away, true_noise=recording.true_noise * 3,
         true_bias=recording.true_bias + 1.0,
     )  # fmt: skip
     unknown = change(recording, truth=None, true_noise=None, true_bias=None, faults=())
@@ -91,7 +93,7 @@ def test_without_truth_an_episode_runs_to_its_end_unrewarded(env_id):
     env = make(env_id, recording=recording)
     heard = play(env, zeros(env, 99))
     assert len(heard) == 1 + len(recording.time) and heard[-1][3] and not heard[-1][2]
-    assert all(step[1] == 0.0 and "position_error" not in step[4] for step in heard[1:])
+    assert all(step[1] == 0.0 and error_name(env_id) not in step[4] for step in heard[1:])
 
 
 @every_environment
@@ -154,7 +156,8 @@ def test_it_ends_with_the_previous_action(env_id):
 def test_every_component_has_a_name_of_its_own(env_id, actions, others, noise):
     env = make(env_id, actions=actions)
     groups = len(env.scenario.sensor.groups)
-    size = groups * PER_GROUP + COMMON + others + groups * noise
+    common = COMMON - (not env.scenario.yardstick.rates)
+    size = groups * PER_GROUP + common + others + groups * noise
     names = env.core.feature_names()
     assert len(names) == len(set(names)) == size
     assert env.observation_space.shape == env.reset(seed=0)[0].shape == (size,)
@@ -165,7 +168,7 @@ def test_every_component_has_a_name_of_its_own(env_id, actions, others, noise):
 def test_the_features_are_what_their_page_says(env_id):
     """Against the pending innovations that info tells."""
     env = make(env_id, duration=12.0)
-    sensor, motion = env.scenario.sensor, env.scenario.motion
+    sensor, yardstick = env.scenario.sensor, env.scenario.yardstick
     groups = [np.flatnonzero(np.array(sensor.group_of_channel) == g)
               for g in range(len(sensor.groups))]  # fmt: skip
     observation, info = env.reset(seed=4)
@@ -201,9 +204,11 @@ def test_the_features_are_what_their_page_says(env_id):
         predicted = env.core._pending.factor[0]
         variance = np.diag(predicted @ predicted.T)
         for feature, rows, unit in zip(
-            common[1:], (motion.position, motion.velocity), (scale, 0.1 * scale), strict=False
+            common[1:], (yardstick.states, yardstick.rates), (scale, 0.1 * scale), strict=False
         ):
             spread = np.sqrt(variance[list(rows)].sum())
+            if not rows:  # the next feature is another
+                continue
             assert feature == pytest.approx(np.log(spread / unit), abs=1e-5)
         observation, _, terminated, truncated, info = env.step(zeros(env))
         time += step

@@ -12,6 +12,7 @@ from rollouts import (
     PECULIAR,
     change,
     draw,
+    error_name,
     every_environment,
     make,
     make_vec,
@@ -38,7 +39,7 @@ def errors_of(env_id, recording, actions, interval):
     """Position errors of every filter step, each action held for the interval."""
     held = np.repeat(actions, interval, axis=0)
     heard = play(make(env_id, recording=recording), held)
-    return np.array([step[4]["position_error"] for step in heard[1:]])
+    return np.array([step[4][error_name(env_id)] for step in heard[1:]])
 
 
 def grouped(values, interval):
@@ -165,7 +166,7 @@ def test_an_error_of_one_scale_counts_alike_early_and_late(env_id, reward):
     own = np.stack(
         [step[4]["estimate"] for step in play(make(env_id, recording=deaf), zeros(env, 41))[1:]]
     )
-    own[:, env.scenario.motion.position[1]] += env.scenario.error_scale
+    own[:, env.scenario.yardstick.states[1]] += env.scenario.error_scale
     env = make(env_id, recording=change(deaf, truth=own[None]), reward=reward)
     earned = [step[1] for step in play(env, zeros(env, 41))[1:]]
     np.testing.assert_allclose(earned, -1.0 / 41.0 if reward == "rmse" else 0.0, atol=1e-9)
@@ -176,7 +177,7 @@ def test_an_error_of_one_scale_counts_alike_early_and_late(env_id, reward):
 
 def nominal_errors(env_id, recording):
     off = nominal_run(env_id, recording).mean - recording.truth
-    position = list(make(env_id).scenario.motion.position)
+    position = list(make(env_id).scenario.yardstick.states)
     return np.sqrt((off[0][:, position] ** 2).sum(axis=1))
 
 
@@ -189,7 +190,8 @@ def test_improvement_on_the_nominal_filter(env_id, interval):
     heard = play(env, actions)
     ours = grouped(errors_of(env_id, recording, actions, interval), interval)
     nominal = grouped(nominal_errors(env_id, recording), interval)
-    expected = [0.5 * np.log((np.mean(n**2) + 1e-6) / (np.mean(e**2) + 1e-6))
+    least = min(1e-6, (1e-4 * env.scenario.error_scale) ** 2)
+    expected = [0.5 * np.log((np.mean(n**2) + least) / (np.mean(e**2) + least))
                 for n, e in zip(nominal, ours, strict=True)]  # fmt: skip
     assert np.ptp(expected) > 1e-3
     got = [step[1] for step in heard[1:]]
@@ -252,7 +254,7 @@ def test_a_lost_track_pays_for_all_that_remained(env_id, reward, interval, lost_
         assert sum(step[1] for step in heard[1:]) == pytest.approx(total, rel=1e-9)
     # and info tells of the update that lost it
     assert info["time"] == recording.time[lost_at]
-    assert info["position_error"] > scenario.lost_distance
+    assert info[error_name(env_id)] > scenario.lost_distance
     np.testing.assert_array_equal(info["truth"], recording.truth[0, lost_at])
     assert set(info["knobs"].values()) == {1.0}
 

@@ -71,8 +71,8 @@ def rolled(calm):
 
 
 def _refinery(part, consistency=0.0):
-    motion, sensor = part.scenario.motion, part.scenario.sensor
-    return Refinery(motion, sensor, part.options.kappa, consistency, 200.0)
+    largest = 200.0 / part.scenario.error_scale
+    return Refinery(part.scenario, part.options.kappa, consistency, largest)
 
 
 def test_through_the_filter_runs_what_the_environment_ran(calm, rolled):

@@ -39,13 +39,15 @@ def results_table(results: list[dict[str, Any]], where: str = "unseen episodes")
         count = f"{had}" if had == asked else f"{had} of {asked} asked"
         where = f"{count} windows of a real log, kept from training and tuning"
         notes.append("windows of one log resemble each other, so intervals are too narrow")
+    unit = results[0].get("unit", "m")
     columns = ["agent", "median", "geo.", "p95", "lost", "ANEES", "NIS", "cost",
                "below fixed, %"]  # fmt: skip
     if against is not None:
         columns.append(f"vs {against}, %")
     elif "difference_to_fixed_tuned" in results[0]:
-        columns.append("vs fixed-tuned, m")
-    title = f"Position RMSE on {where}, m (medians with 95 % intervals)"
+        columns.append(f"vs fixed-tuned, {unit}")
+    what = results[0].get("scored", "Position")
+    title = f"{what} RMSE on {where}, {unit} (medians with 95 % intervals)"
     table = Table(*columns, box=SIMPLE_HEAD, title=title, caption="; ".join(notes))
     for column in table.columns:
         column.no_wrap = True
@@ -74,5 +76,7 @@ def _row(result: dict[str, Any]) -> list[str]:
     return row
 
 
-def _signed(metres: float) -> str:
-    return f"{metres:+.0f}" if abs(metres) >= 9.95 else f"{metres:+.1f}"
+def _signed(error: float) -> str:
+    if 0.0 < abs(error) < 0.05:
+        return f"{error:+.2g}"
+    return f"{error:+.0f}" if abs(error) >= 9.95 else f"{error:+.1f}"

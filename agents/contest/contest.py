@@ -17,7 +17,7 @@ class Contest:
     """What is compared on what; equal contests give equal results.
 
     Attributes:
-        env_id, env_kwargs: the environment; kwargs must be plain JSON values.
+        env_id, env_kwargs: the environment; what is no plain JSON value is told by its fingerprint.
         agents: names or paths, see `kfenv.agents.contestants.registry.make_agent`.
         episodes: number of test episodes.
         seed: of the episodes.

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
-from kfenv.filters.engine import Engine
+from kfenv.envs.loop import make_filter
+from kfenv.envs.options import ENGINE
 from kfenv.filters.replay import replay
 from kfenv.scenarios.recording import Recording
 
@@ -50,7 +52,7 @@ def relative_cost(
 def _bare(env_id: str, env_kwargs: dict[str, Any], recording: Recording) -> float:
     """CPU time of the engine's predictions and updates, s."""
     scenario, options = scenario_and_options(env_id, env_kwargs)
-    engine = Engine(scenario.motion, scenario.sensor, options.kappa)
-    watched = WatchedFilter(engine, scenario.sensor, len(recording))
+    bare = make_filter(scenario, replace(options, filter=ENGINE))
+    watched = WatchedFilter(bare, scenario.sensor, len(recording))
     replay(watched, None, recording, keep=False)
     return watched.watch.seconds

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from ..contestants.learned import Learned
 from ..contestants.registry import make_agent
 from ..executor import Workers
 from ..files import clear_partial, is_free, read_json, write_json
+from ..plain import plain
 from .blocks import play
 from .contest import Contest
 from .rollout import check_scored, draw_episodes, scenario_and_options
@@ -102,16 +102,26 @@ def _results(contest: Contest, output: Path) -> list[dict[str, Any]]:
         return {
             "agent": name,
             "env": contest.env_id,
-            "env_kwargs": contest.env_kwargs,
+            "env_kwargs": plain(contest.env_kwargs),
             "seed": contest.seed,
             "episodes": len(scores[name].rmse),
             "episodes_asked": contest.episodes,  # a real log may have fewer
+            **_unit(scenario),
             **summarise(name, scores, rival, scenario.sensor.groups, contest.seed),
             "cost": read_cost(output, path),
             "given_as": path,
         }
 
     return [result(name, path) for name, path in given.items()]
+
+
+def _unit(scenario: Any) -> dict[str, str]:
+    """Of the errors, where they are others than a position's in metres."""
+    yardstick = scenario.yardstick
+    if yardstick.name == "position":
+        return {}
+    names = ", ".join(component.name for component in yardstick.components)
+    return {"scored": names, "unit": yardstick.unit}
 
 
 def _complain_first(contest: Contest) -> None:
@@ -150,7 +160,8 @@ def check_log(
 
 def _admit(output: Path, contest: Contest, resume: bool) -> None:
     """Take the folder for this contest, or complain before anything is touched."""
-    content = json.loads(json.dumps(asdict(contest))) | {"policies": _digests(contest)}
+    told = {item.name: getattr(contest, item.name) for item in fields(contest)}
+    content = plain(told) | {"policies": _digests(contest)}
     path = output / "contest.json"
     if output.exists() and not output.is_dir():
         raise FileExistsError(f"{output} is a file: name a folder for the results.")

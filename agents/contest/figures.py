@@ -51,10 +51,12 @@ def _distributions(results: Sequence[dict[str, Any]], output: Path) -> Figure:
         rmse = np.sort(read_scores(output, result["given_as"]).rmse)
         share = np.arange(1, len(rmse) + 1) / len(rmse)
         median = result["rmse_median"]
-        label = f"{result['agent']}  ({median:.{0 if median >= 10.0 else 1}f} m)"
+        told = f"{median:.{0 if median >= 10.0 else 1}f}" if median >= 1.0 else f"{median:.2g}"
+        label = f"{result['agent']}  ({told} {result.get('unit', 'm')})"
         axes.step(rmse, share, where="post", color=_colour(result, results), label=label, lw=1.6)
     axes.set_xscale("log")
-    axes.set_xlabel("position RMSE of an episode, m")
+    what, unit = results[0].get("scored", "position"), results[0].get("unit", "m")
+    axes.set_xlabel(f"{what} RMSE of an episode, {unit}")
     axes.set_ylabel("share of episodes")
     axes.set_ylim(0.0, 1.0)
     axes.set_title(f"{results[0]['env']}: {results[0]['episodes']} unseen episodes", loc="left")
@@ -98,6 +100,7 @@ def _episode(contest: Contest, results: Sequence[dict[str, Any]], output: Path) 
     figure = Figure((9.0, 6.0), layout="constrained")
     top, bottom = figure.subplots(2, sharex=True, height_ratios=(3, 2))
     scenario, _ = scenario_and_options(contest.env_id, contest.env_kwargs)
+    yardstick = scenario.yardstick
     groups, channels = len(scenario.sensor.groups), len(scenario.sensor.channels)
     noise = slice(2, 2 + groups), slice(-channels, None)
     for result in _shown(results):
@@ -109,7 +112,10 @@ def _episode(contest: Contest, results: Sequence[dict[str, Any]], output: Path) 
         bottom.plot(time, np.exp(sum(means)), **style)
     shade(top, recording.faults[0])
     shade(bottom, recording.faults[0], labelled=False)
-    for axes, label in ((top, "position error, m"), (bottom, "noise factor\n(mean of all)")):
+    for axes, label in (
+        (top, f"{yardstick.name} error, {yardstick.unit}"),
+        (bottom, "noise factor\n(mean of all)"),
+    ):
         axes.set_yscale("log")
         axes.set_ylabel(label)
         clean(axes)
@@ -128,12 +134,14 @@ def _traced(contest: Contest, result: dict[str, Any], output: Path, recording: R
 
 
 def _widest_window(contest: Contest) -> Recording | None:
-    """Of a real log the window that leads farthest, None where episodes are simulated."""
+    """Of a real log the window that leads farthest, None where episodes are no mapped log's."""
     scenario, _ = scenario_and_options(contest.env_id, contest.env_kwargs)
+    if scenario.yardstick.name != "position":
+        return None
     windows = scenario.recorded(contest.split, contest.episodes)
     if windows is None:
         return None
-    extent = np.ptp(windows.truth[..., list(scenario.motion.position)], axis=1)
+    extent = np.ptp(scenario.yardstick.values(windows.truth), axis=1)
     return windows[[int(np.argmax(np.linalg.norm(extent, axis=1)))]]
 
 
@@ -142,9 +150,9 @@ def _map(
 ) -> Figure:
     """Estimated tracks over a real log's window, east and north of where it begins."""
     scenario, _ = scenario_and_options(contest.env_id, contest.env_kwargs)
-    place = list(scenario.motion.position)
-    origin, rotation = scenario.local_frame(window.mean[0, place])
-    truth = window.truth[0][:, place]
+    values = scenario.yardstick.values
+    origin, rotation = scenario.local_frame(values(window.mean[0]))
+    truth = values(window.truth[0])
     figure = Figure((8.0, 6.4), layout="constrained")
     axes = figure.subplots()
     for result in _shown(results):

@@ -19,6 +19,7 @@ from kfenv.envs.knobs import knobs_of
 from kfenv.envs.options import Options, check_recording, split_keywords
 from kfenv.filters.matrices import cholesky, symmetric
 from kfenv.filters.results import History
+from kfenv.models.yardstick import Yardstick, lines_of
 from kfenv.scenarios.recording import Recording
 
 from ..contestants.agent import Agent, Briefing, Contestant, RecordingFilter
@@ -192,7 +193,7 @@ def _settle(
     mean_square = rewards.mean_square(
         squared_error, scored, all_scored, lost, scenario.lost_distance
     )
-    nees = nees / np.maximum(scored, 1.0) / 3.0
+    nees = nees / np.maximum(scored, 1.0) / len(scenario.yardstick)
     return Scores(np.sqrt(mean_square), lost, nees, nis, seconds, *traces)
 
 
@@ -231,11 +232,12 @@ def _score(
 ) -> Scores:
     """Book a filter's history instant by instant, as `Core` books its own."""
     batch, steps = history.mean.shape[:2]
-    place = list(scenario.motion.position)
-    means, truth = (x[..., place].swapaxes(0, 1).copy() for x in (history.mean, recording.truth))
-    blocks = history.covariance[..., place, :][..., place].swapaxes(0, 1)
-    with np.errstate(all="ignore"):  # a covariance may be none: then there is no NEES
-        roots = cholesky(symmetric(blocks).reshape(-1, 3, 3)).reshape(steps, batch, 3, 3)
+    yardstick = scenario.yardstick
+    means, truth = (
+        yardstick.values(x).swapaxes(0, 1).copy() for x in (history.mean, recording.truth)
+    )
+    roots = _roots(yardstick, history)
+    lines = lines_of(range(len(yardstick)), [roots.shape[3]] * len(yardstick), yardstick.angles)
     squared, nominal, nees_sum, count, nees = np.zeros((5, batch))
     known = np.ones((batch, steps)) if recording.scored is None else recording.scored
     index, active, lost = np.zeros(batch, np.int64), np.ones(batch, bool), np.zeros(batch, bool)
@@ -244,7 +246,7 @@ def _score(
         failed = (history.failed_at >= 0) & (history.failed_at <= t)
         status = np.where(failed, history.status, 0)
         work = np.where(active, status, IDLE)
-        statistics.score(means[t], roots[t], truth[t], np.arange(3), work, error, nees)
+        statistics.score(means[t], roots[t], truth[t], lines, yardstick.weight, work, error, nees)
         error[known[:, t] == 0.0] = nees[known[:, t] == 0.0] = np.nan
         error[active & failed], nees[active & failed] = scenario.lost_distance, np.nan
         statistics.account(
@@ -253,11 +255,26 @@ def _score(
         )  # fmt: skip
         errors.append(error.copy())
     knobs = len(knobs_of(scenario.sensor.groups, state_groups=scenario.motion.groups))
-    off = means - truth
+    off = yardstick.off(history.mean, recording.truth).swapaxes(0, 1)
     traces = (recording.time, np.array(errors), np.ones((steps, batch, knobs)), off)
     told = _told_nis(history, scenario, recording), seconds
     traces = traces if trace else ()
     return _settle(scenario, recording, lost, count, squared, nees_sum, *told, *traces)
+
+
+def _roots(yardstick: Yardstick, history: History) -> Array:
+    """Rows (T, B, d, k) of factors of the covariance of what is scored; NaN where there is none.
+
+    Of states they are taken from its own block: a filter's whole covariance may be none.
+    """
+    place = list(yardstick.states) if yardstick.sensor is None else slice(None)
+    blocks = history.covariance[..., place, :][..., place]
+    batch, steps, size = blocks.shape[:3]
+    with np.errstate(all="ignore"):
+        roots = cholesky(symmetric(blocks.swapaxes(0, 1)).reshape(-1, size, size))
+        if yardstick.sensor is not None:
+            roots = yardstick.rows(history.mean.swapaxes(0, 1).reshape(-1, size), roots)
+    return np.ascontiguousarray(roots.reshape(steps, batch, *roots.shape[1:]))
 
 
 def _told_nis(history: History, scenario: Any, recording: Recording) -> Array:
@@ -270,14 +287,14 @@ def _told_nis(history: History, scenario: Any, recording: Recording) -> Array:
 
 
 def _offset(core: Core) -> Array:
-    """Estimated less true position (N, 3) at the latest instant."""
+    """Estimated less true position (N, 3), or what else is scored, at the latest instant."""
     info = core.information()
-    return (info["estimate"] - info["truth"])[:, list(core.scenario.motion.position)]
+    return core.yardstick.off(info["estimate"], info["truth"])
 
 
 def without_truth(core: Core) -> dict[str, Any]:
     """The info dictionary less what only a simulation knows."""
     info = core.information()
-    for name in ("truth", "position_error", "nees"):
+    for name in ("truth", core.yardstick.error_name, "nees"):
         info.pop(name, None)
     return info

@@ -97,7 +97,8 @@ class ClairvoyantRq(Clairvoyant):
 def unexplained(scenario: TrackingScenario, recording: Recording) -> Array:
     """How far (B, T) the truth departs from its prediction by the motion model, in its noise.
 
-    The mean over the three velocities of the squared departure from one instant's truth to
+    The mean over the three velocities (or, where none are told, over all states that have
+    process noise) of the squared departure from one instant's truth to
     the next over its variance under nominal process noise: one on the average if the truth
     moves as the model does, and zero at the first instant, which nothing predicts.
     """
@@ -112,7 +113,8 @@ def unexplained(scenario: TrackingScenario, recording: Recording) -> Array:
     for (row, _), entry in zip(motion.noise_pattern, entries, strict=True):
         variance[row] += entry**2
     departure = np.moveaxis(recording.truth[:, 1:], -1, 0) - predicted
-    velocity = list(motion.velocity)
+    driven = [i for i in range(len(variance)) if np.all(variance[i] > 0.0)]
+    velocity = list(scenario.yardstick.rates) or driven
     result = np.zeros(recording.truth.shape[:2])
     result[:, 1:] = np.mean(departure[velocity] ** 2 / variance[velocity], axis=0)
     return result

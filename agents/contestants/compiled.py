@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from kfenv.envs.options import ENGINE, Options
+from kfenv.models.own import is_compilable
 from kfenv.scenarios.recording import Recording
 
 from .agent import RecordingFilter
@@ -17,8 +18,14 @@ class CompiledFilter(RecordingFilter):
         """See `Contestant.check`.
 
         Raises:
-            ValueError: if the environment works with another filter than the compiled one.
+            ValueError: if the environment works with another filter than the compiled one, or
+                with a model that it cannot run.
         """
+        if not (is_compilable(scenario.motion) and is_compilable(scenario.sensor)):
+            raise ValueError(
+                f"{self.name} works with the compiled filter, which cannot run a model of NumPy "
+                "functions: write f(xp) and h(xp) with the namespace, or leave it out."
+            )
         if options.filter != ENGINE:
             raise ValueError(
                 f"{self.name} works with the compiled filter {ENGINE!r}, and this environment "

@@ -35,7 +35,8 @@ def c_files(deployable: Deployable) -> dict[str, str]:
     """The texts of the files, by name.
 
     Raises:
-        ValueError: for a policy that turns the knobs of single channels.
+        ValueError: for a policy that turns the knobs of single channels, or of a model that does
+            not tell the rates of what is scored.
     """
     loop, network = deployable.loop, deployable.policy.network
     single = {channel.name for channel in loop.scenario.sensor.channels}
@@ -43,6 +44,12 @@ def c_files(deployable: Deployable) -> dict[str, str]:
         raise ValueError(
             "The C export has no features of single channels' knobs, and this policy turns some: "
             "export it as onnx."
+        )
+    yardstick = loop.yardstick
+    if yardstick.sensor is not None or yardstick.weights or not yardstick.rates:
+        raise ValueError(
+            "The C export has the features of states that are scored with one scale and of their "
+            "rates: train with scored=NAMES, scale=NUMBER and scored_rates, or export it as onnx."
         )
     parts = _perceptron(network) if isinstance(network, ActionNetwork) else _factors(network)
     known = _sizes(deployable) | _words(deployable) | _constants(loop) | parts
@@ -65,7 +72,7 @@ def _sizes(deployable: Deployable) -> dict[str, Any]:
     return {
         "CHANNELS": len(sensor.channels),
         "GROUPS": len(sensor.groups),
-        "RATES": len(motion.velocity),
+        "RATES": len(loop.yardstick.rates),
         "ACCELERATIONS": len(memory.accelerations(motion)),
         "FEATURES": policy.observation_size,
         "MEMORY": policy.network.memory_size,
@@ -80,17 +87,18 @@ def _sizes(deployable: Deployable) -> dict[str, Any]:
 
 def _words(deployable: Deployable) -> dict[str, str]:
     loop, policy = deployable.loop, deployable.policy
-    sensor, motion = loop.scenario.sensor, loop.scenario.motion
+    sensor, yardstick = loop.scenario.sensor, loop.yardstick
+    scored = "position" if yardstick.name == "position" else "scored states"
+    rate = "velocity" if yardstick.name == "position" else "rates of the scored states"
     places = ", ".join(f"KFENV_{_identifier(knob.name)}" for knob in loop.knobs)
     return {
         "ABOUT": f"Trained on {policy.env_id}, digest {policy.digest[:16]}.",
         "KNOB_PLACES": places,
         "CHANNEL_NAMES": ", ".join(f"{c.name} ({c.unit})" for c in sensor.channels),
-        "DEVIATION": "root of the trace of the position's covariance, "
-        f"{motion.states[motion.position[0]].unit}",
-        "RATE_DEVIATION": "the same of the velocity",
-        "DISTANCE": "of the position from the axes' origin or, with earth-fixed axes, the start",
-        "RATE": "the velocity",
+        "DEVIATION": f"root of the trace of the {scored}'s covariance, {yardstick.unit}",
+        "RATE_DEVIATION": f"the same of the {rate}",
+        "DISTANCE": f"of the {scored} from the axes' origin or, with earth-fixed axes, the start",
+        "RATE": f"the {rate}",
     }
 
 

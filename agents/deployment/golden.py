@@ -54,7 +54,7 @@ def golden(deployable: Deployable) -> Golden:
     times = recording.time
     first = times[1] - times[0]
     loop.begin(np.zeros(1, np.int64), recording.mean, recording.factor)
-    start = recording.mean[0, list(loop.scenario.motion.position)]
+    start = loop.yardstick.values(recording.mean[0])
     origin = loop.scenario.local_frame(start)[0]
     held, told = np.zeros((1, network.memory_size)), Golden([], [], [])
     for t, dt in enumerate(np.diff(times, prepend=times[0] - first)):
@@ -93,7 +93,7 @@ def _episode(deployable: Deployable) -> Recording:
 def _instant(loop: Loop, arrived: Measurement, dt: float, origin: Array) -> Instant:
     motion, pending = loop.scenario.motion, loop.pending
     mean, factor = pending.mean[0], pending.factor[0]
-    places, rates = list(motion.position), list(motion.velocity)
+    places, rates = list(loop.yardstick.states), list(loop.yardstick.rates)
     return Instant(
         pending.innovation[0], innovation_covariance(loop, arrived), arrived.noise[0], dt,
         np.sqrt(np.sum(factor[places] ** 2)), np.sqrt(np.sum(factor[rates] ** 2)),

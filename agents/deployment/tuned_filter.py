@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kfenv.envs.loop import Loop
-from kfenv.envs.options import MAX_STEP
 from kfenv.filters.protocol import Measurement
 from kfenv.filters.results import FAILURES
 from kfenv.names import unknown
@@ -94,7 +93,7 @@ class TunedFilter:
             ValueError: for a wrong length, NaN, or a factor that is none.
         """
         mean = _numbers("The initial mean", mean, len(self.states))
-        factor = self.scenario.initial_deviations if factor is None else factor
+        factor = self.scenario.initial_factor if factor is None else factor
         self._loop.begin(np.zeros(1, np.int64), mean, _lower(factor, len(self.states)))
         self.agent.reset(self._briefing)
         self._count, self.time, self._updated = 0, float(time), np.array([float(time)])
@@ -121,7 +120,8 @@ class TunedFilter:
         if self._count < 0:
             raise RuntimeError("The filter has no estimate yet: call reset(mean) first.")
         self._complain_of_failure()
-        dt, arrived, u = _seconds(dt), self._arrived(z, noise, s), self._driven(u)
+        dt = _seconds(dt, self.scenario.longest_step)
+        arrived, u = self._arrived(z, noise, s), self._driven(u)
         loop, passed = self._loop, np.zeros(1)
         if self._count > 0:
             passed[0] = dt
@@ -281,11 +281,11 @@ def _deviations(noise: ArrayLike, size: int) -> Array:
     return array
 
 
-def _seconds(dt: float) -> float:
+def _seconds(dt: float, longest: float) -> float:
     dt = float(dt)
-    if not 0.0 <= dt <= MAX_STEP:
+    if not 0.0 <= dt <= longest:
         raise ValueError(
-            f"dt must lie between 0 and {MAX_STEP:g} s, got {dt!r}: over a longer gap take steps "
+            f"dt must lie between 0 and {longest:g} s, got {dt!r}: over a longer gap take steps "
             "in between whose z is NaN."
         )
     return dt

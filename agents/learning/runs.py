@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 import signal
 import threading
@@ -14,12 +13,12 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
 from kfenv.envs.core import Core
 
 from ..files import is_free
+from ..plain import plain
 from .settings import RECURRENT_PPO
 
 
@@ -42,7 +41,7 @@ def describe_run(
         "versions": {name: metadata.version(name) for name in packages},
     }
     config["versions"]["python"] = platform.python_version()
-    return json.loads(json.dumps(config, default=_as_json))
+    return plain(config)
 
 
 def layout(core: Core | None) -> dict[str, Any]:
@@ -50,15 +49,6 @@ def layout(core: Core | None) -> dict[str, Any]:
     if core is None:
         return {}
     return {"features": core.feature_names(), "knobs": [astuple(knob) for knob in core.knobs]}
-
-
-def _as_json(value: Any) -> Any:
-    """Paths and arrays as plain values; other objects in their own words."""
-    if isinstance(value, os.PathLike):
-        return os.fspath(value)
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    return repr(value)
 
 
 def admit(folder: Path, config: Mapping[str, Any], resume: bool) -> None:

@@ -89,8 +89,8 @@ class Core(Loop):
 
     def _errors_of_nominal(self, recording: Recording) -> Array:
         run = self.filter.run(recording)
-        off = (run.mean - recording.truth)[..., self._position]
-        error = np.sqrt(off[..., 0] ** 2 + off[..., 1] ** 2 + off[..., 2] ** 2)
+        off = self.yardstick.off(run.mean, recording.truth)
+        error = np.sqrt(sum(part**2 for part in np.moveaxis(off, -1, 0)))
         return np.where(error < self.scenario.lost_distance, error, self.scenario.lost_distance)
 
     # ----- one decision -------------------------------------------------------------
@@ -144,7 +144,8 @@ class Core(Loop):
         """Of a decision, from mean squared errors."""
         reward = np.zeros(self.batch)
         if self.has_truth:
-            rewards.improvement(nominal, squared, reward)
+            least = rewards.least_square(self.scenario.error_scale)
+            rewards.improvement(nominal, squared, least, reward)
         return reward
 
     def _paid_for_loss(self, reward: Array, begin: NDArray[np.int64]) -> Array:
@@ -211,16 +212,17 @@ class Core(Loop):
         self.foresight.look(self.foresee(arrived, self._due, work), arrived, dt, work)
 
     def _score(self, active: Mask) -> None:
+        rows = self.yardstick.matrix(self._update.mean, self._update.factor)
         if self.has_truth:
             work = np.where(active, self.status, IDLE)
+            mean, truth = map(self.yardstick.vector, (self._update.mean, self._gather("truth")))
             statistics.score(
-                self._update.mean, self._update.factor, self._gather("truth"), self._position,
-                work, self.error, self.nees,
-            )  # fmt: skip
+                mean, rows, truth, self._lines, self._weight, work, self.error, self.nees
+            )
             unknown = active & (self._gather("scored") == 0.0)
             self.error[unknown] = self.nees[unknown] = np.nan
         statistics.note_runaways(
-            self._statistics, self._update.factor, self._position, self.scenario.lost_distance,
+            self._statistics, rows, self._lines, self._weight, self.scenario.lost_distance,
             active, self.error,
         )  # fmt: skip
         failed = active & (self.status != 0)
@@ -238,7 +240,7 @@ class Core(Loop):
         """Fresh arrays (B, ...) for the info dictionary; nothing of them is in the observation."""
         info: dict[str, Any] = {
             "time": self.time[self._scored],
-            "position_error": self.error.copy(),
+            self.yardstick.error_name: self.error.copy(),
             **self.tell(self._gather("noise"), self._pends),
         }
         if self.has_truth:
@@ -251,7 +253,7 @@ class Core(Loop):
         """Whether a measurement waits for its update; not where the episode is over."""
         return (self.index < len(self.time)) & ~self.lost & (self.status == 0)
 
-    def position_covariance(self) -> Array:
-        """A fresh (B, 3, 3): the posterior covariance of the position, m^2."""
-        rows = self._update.factor[:, self._position]
+    def scored_covariance(self) -> Array:
+        """A fresh (B, d, d): the posterior covariance of what is scored, e.g. the position, m^2."""
+        rows = self.yardstick.rows(self._update.mean, self._update.factor)
         return rows @ rows.transpose(0, 2, 1)

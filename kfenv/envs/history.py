@@ -35,13 +35,13 @@ class History:
     """
 
     def __init__(self, scenario: Any, recording: Recording, knobs: int) -> None:
-        place = list(scenario.motion.position)
+        yardstick = scenario.yardstick
         self.stride = scenario.steps_per_measurement
         self.time = recording.time
-        start = recording.mean[0][place]
+        start = yardstick.values(recording.mean[0])
         self._origin, self._rotation = scenario.local_frame(start)
         truth = recording.truth
-        self.truth = None if truth is None else self._local(truth[0][:, place])
+        self.truth = None if truth is None else self._local(yardstick.values(truth[0]))
         self.guessed = recording.scored is not None
         self.measured = measured_positions(scenario.sensor, recording.measurement[0])
         first, last = self.time[0], self.time[-1]
@@ -50,12 +50,13 @@ class History:
         self.passing = [fault for fault in faults if fault not in self.lasting]
         labels = sorted({fault.label for fault in self.passing})
         self.colours = dict(zip(labels, cycle(FAULT_COLOURS), strict=False))
-        rows = self._rotation @ recording.factor[0][place]
+        rows = self._rotation @ yardstick.rows(recording.mean[0], recording.factor[0])
         self.centre, self.spread = self._local(start), rows @ rows.T
         size = len(recording.time)
         self._count = 0
         self._steps, self._error = np.empty((2, size))
-        self._position, self._covariance = np.empty((size, 3)), np.empty((size, 3, 3))
+        d = len(yardstick)
+        self._position, self._covariance = np.empty((size, d)), np.empty((size, d, d))
         self._factors = np.empty((size, knobs))
 
     def _local(self, position: Array) -> Array:

@@ -18,9 +18,12 @@ from kfenv.envs.memory import Memory
 from kfenv.envs.options import ENGINE, FULL, GAUSSIAN_SUMS, Options
 from kfenv.envs.state_knobs import places_of_states, turn_states
 from kfenv.filters.engine import Engine
+from kfenv.filters.pointwise import PointwiseFilter
 from kfenv.filters.protocol import Filter, Knobs, Measurement, Status
 from kfenv.filters.results import Prediction, Update
 from kfenv.models.model import Sensor
+from kfenv.models.own import is_compilable
+from kfenv.models.yardstick import lines_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -44,8 +47,10 @@ class Loop:
         self.scenario, self.options, self.batch = scenario, options, batch
         motion, sensor = scenario.motion, scenario.sensor
         self.filter = make_filter(scenario, options)
-        self._position = np.array(motion.position)
-        self._velocity = np.array(motion.velocity)
+        self.yardstick = yardstick = scenario.yardstick
+        self._lines, self._weight = yardstick.lines(len(motion.states)), yardstick.weight
+        places = yardstick.rates
+        self._rates = lines_of(places, [place + 1 for place in places], [False] * len(places))
         self._group = np.array(sensor.group_of_channel)
         self.interval = options.decision_interval or scenario.steps_per_measurement
         self._prepare_knobs(sensor)
@@ -179,12 +184,14 @@ class Loop:
             pends: (B,) whether what was looked at waits for its update.
         """
         out = np.zeros((self.batch, self.observation_size))
+        rows = self.yardstick.matrix(self._pending.mean, self._pending.factor)
         statistics.observe(
-            self._pending.whitened, self._pending.variance, noise,
-            self._pending.factor, self._position, self._velocity, self.scenario.error_scale,
+            self._pending.whitened, self._pending.variance, noise, rows, self._lines,
+            self._pending.factor, self._rates, self._weight, self.scenario.error_scale,
             self._group, self._statistics, self._since, pends, out,
         )  # fmt: skip
-        rest = out[:, self._statistics.shape[1] * statistics.PER_GROUP + statistics.COMMON :]
+        common = statistics.common_size(self.yardstick.rates)
+        rest = out[:, self._statistics.shape[1] * statistics.PER_GROUP + common :]
         if self._channels is not None:
             told = self._channels.observe(pends)
             rest[:, : told.shape[1]] = told
@@ -237,7 +244,8 @@ class Loop:
 
     def feature_names(self) -> tuple[str, ...]:
         """What each component of the observation is."""
-        names = [*statistics.feature_names(self.scenario.sensor.groups)]
+        groups, yardstick = self.scenario.sensor.groups, self.yardstick
+        names = [*statistics.feature_names(groups, yardstick.name, yardstick.rates)]
         for part in (self._channels, self._memory):
             names.extend(part.feature_names() if part is not None else ())
         names.extend(f"previous action: {knob.name}" for knob in self.knobs)
@@ -247,12 +255,16 @@ class Loop:
 def make_filter(scenario: Any, options: Options) -> Filter:
     """The engine, a Gaussian sum, or a square-root filter of the reference tier by name.
 
+    Models that are NumPy functions, which the engine cannot run, get its equal around NumPy.
+
     Raises:
         ValueError: for an unknown name or one without a square-root factor.
     """
     motion, sensor = scenario.motion, scenario.sensor
     if options.filter == ENGINE:
-        return Engine(motion, sensor, options.kappa)
+        compilable = is_compilable(motion) and is_compilable(sensor)
+        kind = Engine if compilable else PointwiseFilter
+        return kind(motion, sensor, options.kappa)
     from kfenv.filters.adaptive import ADAPTIVE_DESIGNS, build_tier, told_design
     from kfenv.filters.designs import DESIGNS, find_design
     from kfenv.filters.reference import ReferenceFilter

@@ -36,9 +36,8 @@ SIGN = len(SQUARES)
 RATIO = SIGN + len(SIGNED)
 PRODUCT, TOLD, PRESENT = range(RATIO + 2, RATIO + 5)
 COLUMNS = PRESENT + 4
-COMMON = 4
+COMMON = 4  # the last two only where rates of what is scored are told
 PER_CHANNEL = len(RATIOS) + len(SIGNED) + 3  # of those that have a knob
-STILL = np.zeros(3)
 
 
 class Memory:
@@ -53,13 +52,15 @@ class Memory:
     def __init__(self, scenario: Any, chosen: NDArray[np.int64], batch: int) -> None:
         self._scenario, self._chosen = scenario, chosen
         motion, sensor = scenario.motion, scenario.sensor
-        self._position, self._velocity = np.array(motion.position), np.array(motion.velocity)
+        self._yardstick = yardstick = scenario.yardstick
+        self._rates = np.array(yardstick.rates, np.int64)
         self._acceleration = accelerations(motion)
         self._group = np.array(sensor.group_of_channel)
         self._size = np.bincount(self._group)
         self._channels = np.zeros((batch, len(sensor.channels), CHANNEL_COLUMNS))
         self._groups = np.zeros((batch, len(sensor.groups), COLUMNS))
-        self._origin, self._last, self._change = np.zeros((3, batch, 3))
+        self._origin = np.zeros((batch, len(yardstick)))
+        self._last, self._change = np.zeros((2, batch, len(self._rates)))
 
     def restart(self, chosen: NDArray[np.int64], mean: Array) -> None:
         """Forget the episodes of these filters; new ones begin at the estimates (C, n)."""
@@ -69,7 +70,7 @@ class Memory:
         self._groups[chosen, :, : len(SQUARES)] = 1.0
         self._groups[chosen, :, TOLD] = np.nan
         self._change[chosen] = 0.0
-        for place, start in zip(chosen, mean[:, self._position], strict=True):
+        for place, start in zip(chosen, self._yardstick.values(mean), strict=True):
             self._origin[place] = self._scenario.local_frame(start)[0]
 
     def collect(
@@ -88,7 +89,7 @@ class Memory:
             self._channels, self._groups,
         )  # fmt: skip
         if not len(self._acceleration):
-            differentiate(pending.mean, self._velocity, dt, active, self._last, self._change)
+            differentiate(pending.mean, self._rates, dt, active, self._last, self._change)
 
     def observe(self, mean: Array, held: Array, pends: NDArray[np.bool_], out: Array) -> None:
         """Write the features into the first columns of (B, D).
@@ -100,13 +101,16 @@ class Memory:
             out: (B, D) with a column for each feature at least.
         """
         at = tell_groups(self._group, self._size, pends, self._channels, self._groups, out)
-        known = len(self._acceleration) > 0
-        turn = (mean, self._acceleration) if known else (self._change, np.arange(3))
+        known, weight = len(self._acceleration) > 0, self._yardstick.weight
+        turn = (mean, self._acceleration) if known else (self._change, np.arange(len(self._rates)))
+        value = np.ascontiguousarray(self._yardstick.values(mean))
         tell_motion(
-            mean, self._position, self._velocity, self._origin, *turn,
+            value, self._origin, mean, self._rates, *turn, weight,
+            np.ones(len(self._acceleration)) if known else weight,
             self._scenario.error_scale, held, out[:, at:],
         )  # fmt: skip
-        tell_channels(self._chosen, pends, self._channels, out[:, at + COMMON :])
+        at += len(common_features(self._rates))
+        tell_channels(self._chosen, pends, self._channels, out[:, at:])
 
     def state(self) -> dict[str, Array]:
         """What is remembered, by name: arrays (B, ...) to be read or set."""
@@ -118,11 +122,13 @@ class Memory:
 
     def feature_names(self) -> tuple[str, ...]:
         """What each of them is."""
-        return feature_names(self._scenario.sensor, self._chosen)
+        return feature_names(self._scenario.sensor, self._chosen, self._rates)
 
 
-def feature_names(sensor: Sensor, chosen: Sequence[int] = ()) -> tuple[str, ...]:
-    """What each feature is, with the chosen channels' own."""
+def feature_names(
+    sensor: Sensor, chosen: Sequence[int] = (), rates: Sequence[int] = (0,)
+) -> tuple[str, ...]:
+    """What each feature is, with the chosen channels' own; `rates` are the yardstick's."""
     names: list[str] = []
     for group in sensor.groups:
         members = [channel.name for channel in sensor.channels if channel.group == group]
@@ -131,7 +137,7 @@ def feature_names(sensor: Sensor, chosen: Sequence[int] = ()) -> tuple[str, ...]
         else:
             names += [f"{group}: {what}" for what in signed_features()[1:]]
         names += [f"{group}: {what}" for what in group_features(several=len(members) > 1)]
-    names += common_features()
+    names += common_features(rates)
     for channel in chosen:
         names += [f"{sensor.channels[channel].name} alone: {what}" for what in of_channel()]
     return tuple(names)
@@ -161,14 +167,15 @@ def group_features(several: bool) -> tuple[str, ...]:
     )
 
 
-def common_features() -> tuple[str, ...]:
+def common_features(rates: Sequence[int] = (0,)) -> tuple[str, ...]:
     """What is told of the flight as the filter sees it, and of the decision."""
-    return (
+    features = (
         "log of the seconds for which the action holds",
         "log(1 + distance of the estimate over the error scale)",
         "log(1 + estimated speed over a tenth of the error scale per second)",
         "log(1 + estimated acceleration over a hundredth of it per second squared)",
     )
+    return features if len(rates) else features[: COMMON - 2]
 
 
 def of_channel() -> tuple[str, ...]:
@@ -289,17 +296,18 @@ def _tell_sizes(groups, size, pends, b, g, out, at):
 
 @njit(cache=True, error_model="numpy")
 def tell_motion(
-    mean, position, velocity, origin, turn, acceleration, error_scale, held, out
+    value, origin, mean, rates, turn, acceleration, weight, turn_weight, error_scale, held, out
 ):  # fmt: skip
     """Write what is told of the decision and of the estimate, with its acceleration in `turn`."""
     for b in range(mean.shape[0]):
         out[b, 0] = bounded(log(held[b]))
-        distance = _distance(mean[b], position, origin[b]) / error_scale
-        speed = _distance(mean[b], velocity, STILL) / (0.1 * error_scale)
-        strength = _distance(turn[b], acceleration, STILL) / (0.01 * error_scale)
+        distance = _length(value[b] - origin[b], np.arange(len(value[b])), weight) / error_scale
         out[b, 1] = bounded(log1p(distance))
-        out[b, 2] = bounded(log1p(speed))
-        out[b, 3] = bounded(log1p(strength))
+        if len(rates) > 0:
+            speed = _length(mean[b], rates, weight) / (0.1 * error_scale)
+            strength = _length(turn[b], acceleration, turn_weight) / (0.01 * error_scale)
+            out[b, 2] = bounded(log1p(speed))
+            out[b, 3] = bounded(log1p(strength))
 
 
 @njit(cache=True, error_model="numpy")
@@ -327,7 +335,7 @@ def differentiate(mean, velocity, dt, active, last, change):
     for b in range(mean.shape[0]):
         if not active[b]:
             continue
-        for i in range(3):
+        for i in range(len(velocity)):
             now = mean[b, velocity[i]]
             if dt[b] > 0.0:  # not at the episode's first instant
                 gain = 1.0 - exp(-dt[b] / SMOOTHING)
@@ -336,10 +344,10 @@ def differentiate(mean, velocity, dt, active, last, change):
 
 
 @njit(error_model="numpy")
-def _distance(state, rows, origin):
+def _length(state, rows, weight):
     total = 0.0
-    for i in range(3):
-        total += (state[rows[i]] - origin[i]) ** 2
+    for i in range(len(rows)):
+        total += (weight[i] * state[rows[i]]) ** 2
     return sqrt(total)
 
 

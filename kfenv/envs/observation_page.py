@@ -11,6 +11,7 @@ from kfenv.envs import memory, statistics
 from kfenv.envs.channels import AXES, PER_CHANNEL, channel_features
 from kfenv.envs.knobs import knobs_of
 from kfenv.envs.wording import listed, paragraphs, table
+from kfenv.models.yardstick import Yardstick
 
 ORDINALS = ("first", "second", "third")
 
@@ -18,21 +19,24 @@ ORDINALS = ("first", "second", "third")
 def observation_space(scenario: Any) -> str:
     """The features."""
     groups = scenario.sensor.groups
-    size = len(groups) * statistics.PER_GROUP + statistics.COMMON + len(knobs_of(groups))
+    yardstick = scenario.yardstick
+    common = statistics.common_size(yardstick.rates)
+    size = len(groups) * statistics.PER_GROUP + common + len(knobs_of(groups))
     several = len(scenario.sensor.channels) > len(groups)
+    rows = _feature_rows(groups, several, yardstick)
     sums = """The whitened innovation of a group is the sum over its channels that arrived, over
         the root of their number; squares and shares are means over them."""
     return paragraphs(
         f"""
         ``Box(float32)`` of {size} components with all knobs, all dimensionless:
         {statistics.PER_GROUP} for each of the groups {listed(groups)}
-        ({listed(ORDINALS[: len(groups)])} index), {statistics.COMMON} common ones, and the
+        ({listed(ORDINALS[: len(groups)])} index), {common} common ones, and the
         previous action. Nothing in it needs the truth. Windows are exponential; logarithms are
         natural; the space bounds all components by {-statistics.BOUND:g} and
         {statistics.BOUND:g}, the previous action by -1 and 1. The features of the present (the
         first and the last two of a group) are zero where the {"group" if several else "channel"}
         is missing or nothing is pending. {sums if several else ""}""",
-        table(("Index", "Meaning", "Bounds"), _feature_rows(groups, several)),
+        table(("Index", "Meaning", "Bounds"), rows),
         """
         Deviations are roots of the trace of the covariance predicted with nominal knobs.
         ``env.unwrapped.core.feature_names()`` names every component.""",
@@ -47,11 +51,13 @@ def observation_space(scenario: Any) -> str:
 
 def _with_memory(scenario: Any) -> str:
     """What the full observation has more."""
-    sensor = scenario.sensor
+    sensor, rates = scenario.sensor, scenario.yardstick.rates
+    more = len(memory.feature_names(sensor, rates=rates))
+    accelerated = f", its acceleration {_acceleration(scenario)}" if rates else ""
     largest = max(np.bincount(sensor.group_of_channel))
     return paragraphs(
         f"""
-        ``observation="full"`` puts {len(memory.feature_names(sensor))} components more before the
+        ``observation="full"`` puts {more} components more before the
         previous action, and {memory.PER_CHANNEL} more for each channel with a knob of its own: a
         memory that tells faults apart, for learners with and without one of their own. n is an
         innovation over the root of its variance, both with nominal knobs; the signed log of x is
@@ -61,8 +67,8 @@ def _with_memory(scenario: Any) -> str:
         told of now, of the told noise or of shares. In this order:""",
         f"""
         - of each group in turn {_signs(largest)}; its {listed(memory.group_features(largest > 1))};
-        - in common the {listed(memory.common_features())}. The estimate is the predicted one,
-          its distance is from {_origin(scenario)}, its acceleration {_acceleration(scenario)};
+        - in common the {listed(memory.common_features(rates))}. The estimate is the predicted one,
+          its distance is from {_origin(scenario)}{accelerated};
         - of each channel with a knob of its own the {listed(memory.of_channel())}.""",
     )
 
@@ -75,7 +81,7 @@ def _signs(largest: int) -> str:
 
 
 def _origin(scenario: Any) -> str:
-    start = np.full(3, 4e6)
+    start = np.full(len(scenario.yardstick), 4e6)
     moves = scenario.local_frame(start)[0].any()
     return "where the filter believed to start" if moves else "the origin of the axes"
 
@@ -86,11 +92,13 @@ def _acceleration(scenario: Any) -> str:
     return f"the change of the velocity, smoothed over {memory.SMOOTHING:g} s"
 
 
-def _feature_rows(groups: Sequence[str], several: bool) -> list[tuple[str, str, str]]:
+def _feature_rows(
+    groups: Sequence[str], several: bool, yardstick: Yardstick
+) -> list[tuple[str, str, str]]:
     begin = len(groups) * statistics.PER_GROUP
-    action = begin + statistics.COMMON
+    action = begin + statistics.common_size(yardstick.rates)
     starts = range(0, begin, statistics.PER_GROUP)
-    of_group, common = _group_features(several), _common_features()
+    of_group, common = _group_features(several), _common_features(yardstick)
     rows = [(", ".join(str(s + i) for s in starts), *row) for i, row in enumerate(of_group)]
     rows += [(str(begin + i), *row) for i, row in enumerate(common)]
     places = f"{action} to {action + len(knobs_of(groups)) - 1}"
@@ -111,10 +119,12 @@ def _group_features(several: bool) -> list[tuple[str, str]]:
     ]
 
 
-def _common_features() -> list[tuple[str, str]]:
-    bounds = f"{-statistics.BOUND:g} to {statistics.BOUND:g}"
+def _common_features(yardstick: Yardstick) -> list[tuple[str, str]]:
+    scored, bounds = yardstick.name, f"{-statistics.BOUND:g} to {statistics.BOUND:g}"
+    rate = "velocity" if scored == "position" else f"{scored} rate"
+    rates = (f"log of the predicted {rate} deviation over a tenth of that per s", bounds)
     return [
         ("log(1 + seconds since anything arrived)", f"0 to {statistics.BOUND:g}"),
-        ("log of the predicted position deviation over the error scale", bounds),
-        ("log of the predicted velocity deviation over a tenth of that per s", bounds),
+        (f"log of the predicted {scored} deviation over the error scale", bounds),
+        *([rates] if yardstick.rates else []),
     ]

@@ -18,7 +18,6 @@ OBSERVATIONS = SHORT, FULL = "short", "full"
 REWARDS = ("rmse", "log-rmse", *DENSE)
 ENGINE = "srukf-joseph-exact"
 GAUSSIAN_SUMS = ("gsekf", "gsckf")
-MAX_STEP = 1.0 + 1e-6  # s
 
 
 @dataclass(frozen=True)
@@ -92,10 +91,11 @@ def check_recording(recording: Recording, scenario: Any) -> None:
     Raises:
         ValueError: naming the dimension that differs.
     """
-    if np.diff(recording.time).max() > MAX_STEP:
+    longest = scenario.longest_step
+    if np.diff(recording.time).max() > longest:
         raise ValueError(
             f"The recording has a gap of {np.diff(recording.time).max():g} s; the motion models "
-            f"take steps of up to {MAX_STEP:g} s: add instants in between whose measurements "
+            f"take steps of up to {longest:g} s: add instants in between whose measurements "
             "are NaN."
         )
     inputs = scenario.dimensions

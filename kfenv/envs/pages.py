@@ -94,16 +94,19 @@ def decisions(scenario: Any) -> str:
 def info(scenario: Any) -> str:
     """What `info` holds."""
     states = ", ".join(f"{state.name} ({state.unit})" for state in scenario.motion.states)
+    yardstick = scenario.yardstick
+    error = f"``{yardstick.error_name}`` ({yardstick.unit})"
     return paragraphs(
         "``info`` holds, after ``reset`` and every ``step``:",
         f"""
-        - ``time`` (s) of the filter step made last, its ``position_error`` (m) and ``nis`` (0 if
+        - ``time`` (s) of the filter step made last, its {error} and ``nis`` (0 if
           nothing arrived), and its ``estimate`` of {len(scenario.motion.states)} states: {states};
         - of the measurement that is pending ``innovation``, in {told_channels(scenario.sensor)},
           ``innovation_variance`` in the squares of these units, and ``noise``, the standard
           deviations that the filter is told; innovation and variance are zero and infinite in
           channels that are missing and at the episode's end;
-        - where the truth is known ``truth`` and ``nees`` (of the position, 3 degrees of freedom);
+        - where the truth is known ``truth`` and ``nees`` (of {_what(scenario)},
+          {len(yardstick)} degrees of freedom);
         - with knobs of single channels ``innovation_covariance``, zero for missing channels;
         - after a step ``knobs``, the factors applied.""",
     )
@@ -152,10 +155,11 @@ def _range(knob: Knob) -> str:
 def rewards(scenario: Any) -> str:
     """What a decision earns."""
     scale, lost_distance = scenario.error_scale, scenario.lost_distance
+    unit = scenario.yardstick.unit
     most = [f"{round(worst(name, scale, lost_distance), 1):g}" for name in REWARDS]
     return paragraphs(
         f"""
-        The error scale is {scale:g} m. Errors are those of the position, m.""",
+        The error scale is {scale:g} {unit}. Errors are those of {_what(scenario)}, {unit}.""",
         f"""
         - ``"rmse"`` (default): the undiscounted return of an episode is minus its RMSE over the
           error scale, exactly as contests count it. A decision earns minus what it adds to
@@ -178,11 +182,23 @@ def rewards(scenario: Any) -> str:
           and the innovations are white. It tells noise that is misjudged, not how large errors
           are.""",
         f"""
-        A lost track pays at once for all that remained: {lost_distance / 1e3:g} km at every scored
+        A lost track pays at once for all that remained: {_far(scenario)} at every scored
         instant, at most {most[0]} or, as a log, {most[1]} in all; with the other
         three {most[2]} for every decision. So losing it never pays. Without truth, and with the
         track kept, the first three are zero.""",
     )
+
+
+def _what(scenario: Any) -> str:
+    """What errors are those of."""
+    name = scenario.yardstick.name
+    return f"the {name}" if name == "position" else f"what is {name}"
+
+
+def _far(scenario: Any) -> str:
+    """The error of a lost track."""
+    far, unit = scenario.lost_distance, scenario.yardstick.unit
+    return f"{far / 1e3:g} km" if unit == "m" and far >= 1e3 else f"{far:g} {unit}"
 
 
 def random_flight(scenario: Any) -> str:
@@ -230,8 +246,8 @@ def first_decision(scenario: Any) -> str:
 def episode_end(scenario: Any) -> str:
     """When it is over."""
     return paragraphs(f"""
-        Terminated when the track is lost: a position error above
-        {scenario.lost_distance / 1e3:g} km, or a filter that fails (numbers that are not finite).
+        Terminated when the track is lost: a {scenario.yardstick.name} error above
+        {_far(scenario)}, or a filter that fails (numbers that are not finite).
         Truncated after the last instant, which is after ``duration * rate + 1`` filter
         steps
         ({len(scenario.time)} by default).""")

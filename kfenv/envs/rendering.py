@@ -10,9 +10,10 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from kfenv.envs import curves, panels
 from kfenv.envs.history import History
 from kfenv.envs.knobs import Knob
-from kfenv.envs.panels import Panel, lay_out
+from kfenv.envs.panels import Panel
 from kfenv.scenarios.recording import Recording
 
 if TYPE_CHECKING:  # matplotlib is slow to import, and few runs draw
@@ -55,10 +56,11 @@ class Film:
 
     def add(self, core: Core, info: dict[str, Any]) -> None:
         """Take in a step of an environment: its core (of one filter) and its info."""
-        position = info["estimate"][list(self._scenario.motion.position)]
-        covariance = core.position_covariance()[0]
+        position = core.yardstick.values(info["estimate"])
+        covariance = core.scored_covariance()[0]
         factors = core.factors[0, core.knob_place]
-        self.append(info["time"], position, covariance, info.get("position_error", np.nan), factors)
+        error = info.get(core.yardstick.error_name, np.nan)
+        self.append(info["time"], position, covariance, error, factors)
 
     def append(
         self, time: float, position: Array, covariance: Array, error: float, factors: Array
@@ -118,6 +120,8 @@ class Film:
             self._figure = _new_figure(self._window, self._scenario.name)
             self._figure.canvas.mpl_connect("draw_event", self._keep_background)
         if not self._panels:
+            mapped = self._scenario.yardstick.name == "position"
+            lay_out = panels.lay_out if mapped else curves.lay_out
             self._panels = lay_out(self._figure, self._scenario, self._knobs, self._history)
             for artist in self._moving():
                 artist.set_animated(self._figure.canvas.supports_blit)

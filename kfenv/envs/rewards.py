@@ -76,9 +76,17 @@ def worst(reward: str, error_scale: float, lost_distance: float) -> float:
     return log(ratio) if reward == LOG_RMSE else ratio
 
 
+def least_square(error_scale: float) -> float:
+    """What a squared error counts at least, so that no ratio is without bounds: (1 mm)^2 or less.
+
+    Of small scales a ten-thousandth, squared.
+    """
+    return min(1e-6, (1e-4 * error_scale) ** 2)
+
+
 @njit(cache=True, error_model="numpy")
-def improvement(nominal_squared, squared, reward):
+def improvement(nominal_squared, squared, least, reward):
     """Log of the nominal filter's RMS error over this one's, capped."""
     for b in range(reward.shape[0]):
-        ratio = 0.5 * log((nominal_squared[b] + 1e-6) / (squared[b] + 1e-6))
+        ratio = 0.5 * log((nominal_squared[b] + least) / (squared[b] + least))
         reward[b] = max(-CAP, min(CAP, ratio))

@@ -7,7 +7,7 @@ gets the same bits.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import exp, inf, isnan, log, nan, sqrt
+from math import exp, floor, inf, isnan, log, nan, pi, sqrt
 
 import numpy as np
 from numba import njit
@@ -16,15 +16,27 @@ from numba import njit
 # serves the correlation.
 WINDOWS = (3.0, 10.0, 30.0)
 PER_GROUP = 7  # features of a channel group
-COMMON = 3  # time since the last arrival, position and velocity deviation
+COMMON = 3  # time since the last arrival, position deviation and, if it is told, velocity's
 # Columns of the statistics of a group: a mean square per window, lag product, last value
 LAG, LAST, COLUMNS = len(WINDOWS), len(WINDOWS) + 1, len(WINDOWS) + 2
 BOUND = 10.0  # of every feature
+TWO_PI = 2.0 * pi
 RUNAWAY, RUNAWAY_WINDOW = 100.0, 1  # RMS of whitened innovations, and over which window
 
 
-def feature_names(groups: Sequence[str]) -> tuple[str, ...]:
-    """What each component of the observation is, but for the previous action."""
+def common_size(rates: Sequence[int]) -> int:
+    """Number of the common features: without rates of what is scored one less."""
+    return COMMON if len(rates) else COMMON - 1
+
+
+def feature_names(
+    groups: Sequence[str], scored: str = "position", rates: Sequence[int] = (0,)
+) -> tuple[str, ...]:
+    """What each component of the observation is, but for the previous action.
+
+    Args:
+        scored, rates: name and rates of the yardstick.
+    """
     names = []
     for group in groups:
         names.append(f"{group}: whitened innovation, signed log")
@@ -35,8 +47,10 @@ def feature_names(groups: Sequence[str]) -> tuple[str, ...]:
         names.append(f"{group}: share of channels that arrived")
         names.append(f"{group}: share of the noise in the innovation variance")
     names.append("log(1 + seconds since the last measurement)")
-    names.append("log position deviation over the error scale")
-    names.append("log velocity deviation over a tenth of the error scale per second")
+    rate = "velocity" if scored == "position" else f"{scored} rate"
+    names.append(f"log {scored} deviation over the error scale")
+    if len(rates):
+        names.append(f"log {rate} deviation over a tenth of the error scale per second")
     return tuple(names)
 
 
@@ -50,23 +64,27 @@ def turn_knobs(action, log_low, log_high, position, factors):
 
 
 @njit(cache=True, error_model="numpy")
-def score(mean, factor, truth, position, status, error, nees):
-    """Position error and position NEES (3 degrees of freedom) of each running filter.
+def score(mean, factor, truth, lines, weight, status, error, nees):
+    """Error and NEES of what each running filter is scored by; see `Yardstick` for the lines.
 
     The NEES works on the factor's rows: their products lose the smaller of two deviations that
     differ by 1e8.
     """
-    states = factor.shape[2]
-    rows, e = np.zeros((3, states)), np.zeros(3)
+    place, width, angle = lines[0], lines[1], lines[2]
+    size, states = lines.shape[1], factor.shape[2]
+    rows, e = np.zeros((size, states)), np.zeros(size)
     for b in range(mean.shape[0]):
         if status[b] != 0:
             continue
         squared = 0.0
-        for i in range(3):
-            e[i] = mean[b, position[i]] - truth[b, position[i]]
+        for i in range(size):
+            off = mean[b, place[i]] - truth[b, place[i]]
+            if angle[i]:
+                off -= TWO_PI * floor(off / TWO_PI + 0.5)
+            e[i] = weight[i] * off
             squared += e[i] * e[i]
             for k in range(states):
-                rows[i, k] = factor[b, position[i], k] if k <= position[i] else 0.0
+                rows[i, k] = weight[i] * factor[b, place[i], k] if k < width[i] else 0.0
         error[b] = sqrt(squared)
         nees[b] = _normalised_square(rows, e)
 
@@ -78,14 +96,15 @@ def _normalised_square(rows, e):
     NaN where the rows depend on each other, so that R R^T is not positive definite.
     """
     total = 0.0
-    for i in range(3):
+    size = len(e)
+    for i in range(size):
         length = sqrt(_product(rows[i], rows[i]))
         if not 0.0 < length < inf:
             return nan
         rows[i] /= length
         e[i] /= length
         total += e[i] * e[i]
-        for j in range(i + 1, 3):
+        for j in range(i + 1, size):
             along = _product(rows[i], rows[j])
             rows[j] -= along * rows[i]
             e[j] -= along * e[i]
@@ -101,15 +120,15 @@ def _product(one, other):
 
 
 @njit(cache=True, error_model="numpy")
-def note_runaways(statistics, factor, position, lost_distance, active, error):
+def note_runaways(statistics, factor, lines, weight, lost_distance, active, error):
     """Put the error just above the loss distance where it is unknown and all speaks for a loss.
 
     That is: innovations a hundred times what the filter expects, in the mean square over some
-    ten measurements, or a position that the filter itself takes for lost.
+    ten measurements, or a deviation by which the filter itself takes it for lost.
     """
     for b in range(error.shape[0]):
         if active[b] and isnan(error[b]):
-            away = _deviation(factor[b], position) > lost_distance
+            away = _deviation(factor[b], lines, weight) > lost_distance
             for g in range(statistics.shape[1]):
                 away = away or statistics[b, g, RUNAWAY_WINDOW] > RUNAWAY**2
             if away:
@@ -171,12 +190,16 @@ def collect(whitened, group_of_channel, statistics, since, dt, status):
 
 @njit(cache=True, error_model="numpy")
 def observe(
-    whitened, variance, sd, factor, position, velocity, error_scale, group_of_channel,
+    whitened, variance, sd, rows, lines, factor, rates, weight, error_scale, group_of_channel,
     statistics, since, pending, out,
 ):  # fmt: skip
     """Write each filter's observation, all but the previous action.
 
     Where nothing is pending (an episode's end) the group features of the present are zero.
+
+    Args:
+        rows, lines: of the quantities that are scored.
+        factor, rates: of the states and those that are the quantities' rates, if there are any.
     """
     groups = statistics.shape[1]
     for b in range(whitened.shape[0]):
@@ -200,8 +223,10 @@ def observe(
             out[b, at + 6] = share / count if count > 0 else 0.0
         at = groups * PER_GROUP
         out[b, at] = bounded(log(1.0 + since[b]))
-        out[b, at + 1] = bounded(log(_deviation(factor[b], position) / error_scale))
-        out[b, at + 2] = bounded(log(_deviation(factor[b], velocity) / (0.1 * error_scale)))
+        out[b, at + 1] = bounded(log(_deviation(rows[b], lines, weight) / error_scale))
+        if rates.shape[1] > 0:
+            rate = _deviation(factor[b], rates, weight)
+            out[b, at + 2] = bounded(log(rate / (0.1 * error_scale)))
 
 
 @njit(error_model="numpy")
@@ -217,9 +242,9 @@ def bounded(value):
 
 
 @njit(error_model="numpy")
-def _deviation(factor, rows):
+def _deviation(factor, lines, weight):
     total = 0.0
-    for i in range(rows.shape[0]):
-        for k in range(rows[i] + 1):
-            total += factor[rows[i], k] ** 2
+    for i in range(lines.shape[1]):
+        for k in range(lines[1, i]):
+            total += (weight[i] * factor[lines[0, i], k]) ** 2
     return sqrt(total)

@@ -102,7 +102,8 @@ class TrackingEnv(gym.Env):
 
     def _info(self) -> dict[str, Any]:
         info = _without_nan(self.core.information())
-        unknown = [key for key in ("position_error", "nees") if np.isnan(info.get(key, 0.0)).any()]
+        errors = (self.core.yardstick.error_name, "nees")
+        unknown = [key for key in errors if np.isnan(info.get(key, 0.0)).any()]
         return {
             key: float(value[0]) if value.ndim == 1 else value[0]
             for key, value in info.items()

@@ -16,6 +16,7 @@ from kfenv.filters.reference import ReferenceFilter
 from kfenv.filters.replay import replay
 from kfenv.filters.results import History, Run
 from kfenv.models.model import Motion, Sensor
+from kfenv.models.own import is_compilable
 from kfenv.names import unknown
 
 Array = NDArray[np.float64]
@@ -102,6 +103,7 @@ def build_tier(
         compiled: whether the engine does a cubature filter's work.
     """
     exact_cubature = ADAPTIVE_DESIGNS["ckf"].base
+    compiled = compiled and is_compilable(motion) and is_compilable(sensor)
     if compiled and design.base == exact_cubature:
         from kfenv.filters.engine import Engine  # brings the compiler, half a second
 

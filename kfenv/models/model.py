@@ -45,7 +45,8 @@ class Motion:
     Attributes:
         name: e.g. ``"variable-turn"``.
         states: the n state components.
-        position, velocity: indices of the three position and velocity components.
+        position, velocity: indices of the three position and velocity components of a target;
+            () where a `kfenv.models.yardstick.Yardstick` says what counts.
         noise_pattern: (row, column) of each entry that ``noise_factor`` returns.
         build: makes the arithmetic for a module of `kfenv.models.namespaces`.
         inputs: names of the known inputs u of a step (e.g. inertial rates).
@@ -53,8 +54,8 @@ class Motion:
 
     name: str
     states: tuple[Component, ...]
-    position: tuple[int, int, int]
-    velocity: tuple[int, int, int]
+    position: tuple[int, ...]
+    velocity: tuple[int, ...]
     noise_pattern: tuple[tuple[int, int], ...]
     build: Callable[[ModuleType], MotionFunctions]
     inputs: tuple[str, ...] = ()

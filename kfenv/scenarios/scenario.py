@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from kfenv.checks import is_number
 from kfenv.models.model import Motion, Sensor
 from kfenv.models.namespaces import batch
+from kfenv.models.yardstick import Yardstick
 from kfenv.scenarios.faults import FAULTS, Draft, Fault, resolve_faults
 from kfenv.scenarios.recording import Recording, stack
 
@@ -46,6 +47,7 @@ class TrackingScenario(ABC):
         lost_distance: a greater position error is a lost track, m.
         mixture: share of outliers in the measurements and ratio of their variance to the
             nominal one, where the scenario has any to tell a Gaussian sum.
+        rate_bounds: between which the rate lies, 1/s.
 
     Raises:
         ValueError: for an argument that is none, or an unknown fault.
@@ -63,12 +65,13 @@ class TrackingScenario(ABC):
     error_scale: ClassVar[float]
     lost_distance: ClassVar[float] = 10_000.0  # SPEC 7.1
     mixture: ClassVar[tuple[float, float] | None] = None
+    rate_bounds: ClassVar[tuple[float, float]] = (MIN_RATE, MAX_RATE)
 
     def __post_init__(self) -> None:
-        if not is_number(self.rate) or not MIN_RATE <= self.rate <= MAX_RATE:
+        least, most = self.rate_bounds
+        if not is_number(self.rate) or not least <= self.rate <= most:
             raise ValueError(
-                f"rate must lie between {MIN_RATE:g} and {MAX_RATE:g} per second, "
-                f"got {self.rate!r}."
+                f"rate must lie between {least:g} and {most:g} per second, got {self.rate!r}."
             )
         if not is_number(self.duration) or self.duration < 1.0 / self.rate:
             raise ValueError(
@@ -92,6 +95,11 @@ class TrackingScenario(ABC):
         """What is measured."""
 
     @cached_property
+    def yardstick(self) -> Yardstick:
+        """What errors are measured of: the position."""
+        return Yardstick.position(self.motion)
+
+    @cached_property
     def time(self) -> Array:
         """The instants of an episode, s."""
         return np.arange(round(self.duration * self.rate) + 1) / self.rate
@@ -102,6 +110,11 @@ class TrackingScenario(ABC):
         return len(self.motion.inputs), len(self.sensor.inputs)
 
     @property
+    def longest_step(self) -> float:
+        """The longest that the motion model takes, s, with room for rounding."""
+        return (1.0 + 1e-6) / self.rate_bounds[0]
+
+    @property
     def steps_per_measurement(self) -> int:
         """Filter steps from one measurement to the next, faults aside."""
         return 1
@@ -110,6 +123,11 @@ class TrackingScenario(ABC):
     def initial_deviations(self) -> Array:
         """Standard deviations (n,) of the initial estimate."""
         return np.tile(self.initial_deviation, 3)
+
+    @property
+    def initial_factor(self) -> Array:
+        """Lower factor (n, n) of the initial estimate's covariance."""
+        return np.diag(self.initial_deviations)
 
     def sample(self, rngs: Sequence[Generator]) -> Recording:
         """Draw one episode from each generator."""
@@ -122,7 +140,10 @@ class TrackingScenario(ABC):
     def episode(self, rng: Generator) -> Recording:
         """Draw one episode: truth, faults, measurement noise, initial estimate."""
         truth = self.trajectory(rng)
-        draft = self.draft(truth, rng)
+        return self.measured(truth, self.draft(truth, rng), rng)
+
+    def measured(self, truth: Array, draft: Draft, rng: Generator) -> Recording:
+        """The episode of a truth (T, n) and its clean draft: faults, noise, initial estimate."""
         self.spoil(draft, rng)
         true_noise, told_noise = self.deviations(draft)
         true_noise, told_noise = true_noise * draft.noise_factor, told_noise * draft.told_factor
@@ -136,7 +157,7 @@ class TrackingScenario(ABC):
             measurement=measurement[None],
             noise=told_noise[None],
             mean=self.initial_mean(truth[0], rng)[None],
-            factor=np.diag(self.initial_deviations)[None],
+            factor=self.initial_factor[None],
             motion_inputs=draft.motion_inputs[None],
             sensor_inputs=draft.sensor_inputs[None],
             truth=truth[None],
@@ -177,7 +198,7 @@ class TrackingScenario(ABC):
         Returns:
             Origin (3,) and rotation (3, 3).
         """
-        return np.zeros(3), np.eye(3)
+        return np.zeros(len(position)), np.eye(len(position))
 
     def clean(
         self, kind: type[Draft], truth: Array, motion_inputs: Array | None = None,

@@ -138,25 +138,32 @@ def paper_trajectory(name: Literal["A", "B"], time: ArrayLike) -> Array:
     return _states(flight, _fly(flight, time[-1]), start, time)
 
 
-def drawn_trajectory(rng: Generator, motion: Motion, start: Array, time: Array) -> Array:
+def drawn_trajectory(
+    rng: Generator, motion: Motion, start: Array, time: Array, inputs: Array | None = None
+) -> Array:
     """States (T, n) drawn from a motion model itself, its discrete noise included.
 
     Args:
         rng: where the noise comes from.
-        motion: a model without known inputs.
+        motion: the model.
         start: (n,) state at the first time.
         time: (T,) increasing, s.
+        inputs: (T, p), those at an index for the step that leads there; None if it takes none.
     """
+    inputs = np.empty((len(time), 0)) if inputs is None else inputs
+    angles = [state.angle for state in motion.states]
     model = motion.build(scalar)
     truth = np.zeros((len(time), len(start)))
     truth[0] = start
     factor = np.zeros((len(start), len(start)))
-    rows, columns = zip(*motion.noise_pattern, strict=True)
+    rows, columns = np.array(motion.noise_pattern, int).reshape(-1, 2).T
     noise = rng.standard_normal((len(time) - 1, len(start)))
     for k, dt in enumerate(np.diff(time).tolist()):
         state = truth[k].tolist()
-        factor[rows, columns] = model.noise_factor(state, (), dt)
-        truth[k + 1] = model.step(state, (), dt) + factor @ noise[k]
+        known = inputs[k + 1].tolist()
+        factor[rows, columns] = model.noise_factor(state, known, dt)
+        truth[k + 1] = model.step(state, known, dt) + factor @ noise[k]
+    truth[:, angles] -= 2.0 * np.pi * np.floor(truth[:, angles] / (2.0 * np.pi) + 0.5)
     return truth
 
 

@@ -99,7 +99,5 @@ def _update(course: Course, chunk: Chunk, total: float, bar: TrainingProgress) -
 
 
 def _refinery(course: Course, rolled: Roll, consistency: float) -> Refinery:
-    core = rolled.core
-    largest = course.settings.largest_error * core.scenario.error_scale
-    motion, sensor = core.scenario.motion, core.scenario.sensor
-    return Refinery(motion, sensor, core.options.kappa, consistency, largest)
+    core, largest = rolled.core, course.settings.largest_error
+    return Refinery(core.scenario, core.options.kappa, consistency, largest)

@@ -14,12 +14,14 @@ from typing import Any
 import numpy as np
 import torch
 
+from kfenv.envs import rewards
 from kfenv.envs.state_knobs import places_of_states
 from kfenv.scenarios.recording import Recording
 
 from ..channelwise import Network
-from .differentiable import DifferentiableFilter, Predicted
+from .differentiable import DifferentiableFilter, Posterior, Predicted
 from .rolling import Roll
+from .scored import ScoredTensors
 
 ROBUSTNESS = 20.0  # squared errors that are so many times an episode's mean count ever less
 LONGEST = 5.0  # times the median gradient that an episode's may be long
@@ -45,22 +47,25 @@ class Refinery:
     """The differentiable filter of a scenario, and the loss of a chunk.
 
     Args:
-        motion, sensor, kappa: of the environment's filter.
+        scenario: gives motion, sensor, what is scored and its scale.
+        kappa: of the environment's filter.
         consistency: weight of the term that brings the NEES to what it should be.
-        largest_error: an episode's RMS error counts as this at most, m.
+        largest_error: an episode's RMS error counts as this at most, in scales.
     """
 
     def __init__(
-        self, motion: Any, sensor: Any, kappa: float, consistency: float, largest_error: float
+        self, scenario: Any, kappa: float, consistency: float, largest_error: float
     ) -> None:
+        motion, sensor = scenario.motion, scenario.sensor
         self.filter = DifferentiableFilter(motion, sensor, kappa)
-        self._consistency, self._largest = consistency, largest_error
-        self._position = list(motion.position)
+        self._consistency, self._largest = consistency, largest_error * scenario.error_scale
+        self._least = rewards.least_square(scenario.error_scale)
+        self._scored = ScoredTensors(scenario.yardstick)
         self._group = torch.tensor(sensor.group_of_channel)
         self._states = places_of_states(motion, sensor.groups)
 
     def loss(self, network: Network, chunk: Chunk) -> torch.Tensor:
-        """Mean over the chunk's instants of the robust log of the squared position error.
+        """Mean over the chunk's instants of the robust log of the squared error.
 
         1/2 k log(1 + (e^2 / m) / k) with an episode's mean squared error m: its gradient is
         about that of the log of the episode's RMSE, and a lost track does not rule it.
@@ -71,7 +76,7 @@ class Refinery:
         if logs.requires_grad:
             logs.register_hook(no_lane_rules)
         error, nees, counts = self._run(roll, begin, self._factors(roll, logs.double()))
-        scale = torch.from_numpy(np.clip(roll.squared_error, 1e-6, self._largest**2))
+        scale = torch.from_numpy(np.clip(roll.squared_error, self._least, self._largest**2))
         robust = 0.5 * ROBUSTNESS * torch.log1p(error / scale / ROBUSTNESS)
         number = counts.sum().clamp(min=1.0)
         loss = torch.where(counts > 0.0, robust, 0.0).sum() / number
@@ -111,9 +116,9 @@ class Refinery:
                 series.noise[:, i] * noise[decision],
             )  # fmt: skip
             alive = alive & ~posterior.failed
-            off = (posterior.mean - series.truth[:, i])[:, self._position]
+            off = self._scored.off(posterior.mean, series.truth[:, i])
             errors.append((off**2).sum(dim=1))
-            consistency.append(self._nees(off.detach(), posterior.covariance))
+            consistency.append(self._nees(off.detach(), posterior))
             counts.append(torch.where(alive, series.scored[:, i], 0.0))
             if i == last:
                 break
@@ -137,15 +142,10 @@ class Refinery:
             noise=predicted.noise * deviation[:, :, None] * deviation[:, None, :]
         )
 
-    def _nees(self, off: torch.Tensor, covariance: torch.Tensor) -> torch.Tensor:
+    def _nees(self, off: torch.Tensor, posterior: Posterior) -> torch.Tensor:
         if not self._consistency:
             return torch.zeros(len(off), dtype=off.dtype)
-        block = covariance[:, self._position][:, :, self._position]
-        root, failed = torch.linalg.cholesky_ex(block)
-        eye = torch.eye(3, dtype=off.dtype)
-        root = torch.where((failed > 0)[:, None, None], eye, root)
-        white = torch.linalg.solve_triangular(root, off[:, :, None], upper=False)
-        return (white**2).sum(dim=(1, 2)) / 3.0
+        return self._scored.nees(off, posterior.mean, posterior.covariance)
 
 
 def no_lane_rules(gradient: torch.Tensor) -> torch.Tensor:
