@@ -158,10 +158,10 @@ class Criterion:
 
 def squared_errors(scenario: Any, recording: Recording, series: Array) -> tuple[Array, Array]:
     """Squared position errors (S, B, T), lost at the loss distance, and what is scored (B, T)."""
-    position, far = list(scenario.motion.position), scenario.lost_distance
+    far = scenario.lost_distance
     assert recording.truth is not None
     with np.errstate(invalid="ignore", over="ignore"):
-        squared = np.sum((series - recording.truth)[..., position] ** 2, axis=-1)
+        squared = np.sum(scenario.yardstick.off(series, recording.truth) ** 2, axis=-1)
     known = np.ones(recording.truth.shape[:2]) if recording.scored is None else recording.scored
     failed = np.isnan(squared)
     gone = failed | ((squared > far**2) & (known > 0.0))
