@@ -129,7 +129,7 @@ def _factors(network: FactorNetwork) -> dict[str, str]:
     named = {name: array for name, array in vars(network).items() if isinstance(array, np.ndarray)}
     named |= {"least": named.pop("log_low"), "most": named.pop("log_high")}
     named |= {} if network.gru is None else vars(network.gru)
-    sizes = f"#define HIDDEN {network.bias_in.size}\n#define CUT {_number(MOST_DEVIATIONS)}\n\n"
+    sizes = f"#define HIDDEN {network.bias_in.size}\n#define CUT ((real){_number(MOST_DEVIATIONS)})\n\n"
     arrays = sizes + "".join(_array(name, array) for name, array in named.items())
     return {"ARRAYS": arrays, "NETWORK": _filled("factor_network.c", {})}
 

@@ -65,6 +65,10 @@ typedef struct {
     long steps;
 } kfenv_state;
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* Begin a track. */
 void kfenv_reset(kfenv_state *state);
 
@@ -75,5 +79,9 @@ void kfenv_reset(kfenv_state *state);
  * stays as it was and the knobs are the last ones.
  */
 int kfenv_step(kfenv_state *state, const kfenv_instant *now, double knobs[KFENV_KNOBS]);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif
