@@ -15,7 +15,7 @@ from kfenv.agents.deployment.deployable import Deployable
 from kfenv.agents.deployment.export import export_policy
 from kfenv.agents.deployment.golden import golden
 from policies import about, random_arrays, trained_on
-from rollouts import BISTATIC, GNSS, INERTIAL, TRACKING, VALIDATION, short
+from rollouts import BISTATIC, GNSS, INERTIAL, OWN, TRACKING, VALIDATION, short
 from typer.testing import CliRunner
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
@@ -167,6 +167,11 @@ def run(program, *arguments):
     return subprocess.run([program, *arguments], capture_output=True, text=True)
 
 
+SCALED = {
+    "motion": "kfenv.models.constant_acceleration:constant_acceleration",
+    "sensor": "kfenv.models.radar:radar", "scored": ["x", "z"], "scored_rates": ["vx", "vz"],
+    "scale": [10.0, 20.0], "R": [4.0, 1e-4, 1e-4], "mean": [900.0, 10.0, 1.0] * 3, "P": [1.0] * 9,
+}  # fmt: skip
 C_POLICIES = {
     "full, with memory": gru,
     "short": lambda path: trained_on(path, VALIDATION, "mlp-log-factors", **short(VALIDATION)),
@@ -174,6 +179,12 @@ C_POLICIES = {
     "sac": lambda path: perceptron(path, BISTATIC, "sac", "relu", observation="full"),
     "without acceleration, a decision for four steps": lambda path: trained_on(
         path, INERTIAL, observation="full", **short(INERTIAL, rate=20.0, measurement_rate=5.0)
+    ),
+    "what is scored has no rates": lambda path: trained_on(
+        path, OWN, observation="full", **short(OWN)
+    ),
+    "each of what is scored has a scale": lambda path: trained_on(
+        path, OWN, "mlp-log-factors", observation="full", **short(OWN, **SCALED)
     ),
     "many channels": lambda path: trained_on(path, GNSS, observation="full", **short(GNSS)),
 }

@@ -11,11 +11,13 @@ from kfenv.agents.contest.rollout import scenario_and_options, without_truth
 from kfenv.agents.contestants.agent import Briefing
 from kfenv.agents.contestants.registry import AGENTS, make_agent
 from kfenv.agents.deployment import TunedFilter
+from pendulum import MODEL, WORLD
 from policies import trained_on
 from rollouts import (
     BISTATIC,
     GNSS,
     INERTIAL,
+    OWN,
     TRACKING,
     VALIDATION,
     draw,
@@ -23,7 +25,10 @@ from rollouts import (
     short,
 )
 
+from kfenv.models.own import own_motion, own_sensor
+
 README = Path(__file__).parents[1] / "README.md"
+F = np.array([[1.0, 0.1], [0.0, 1.0]])
 RULES = ("hmm-noise", "pooled-noise", "innovation-noise")
 SPARSE = {"rate": 20.0, "measurement_rate": 5.0}  # a decision for each fourth step
 
@@ -109,6 +114,22 @@ def test_a_decision_holds_from_one_measurement_to_the_next(agent, tmp_path):
         agent = trained_on(tmp_path / "policy.npz", INERTIAL, observation="full", **kwargs)
     got = assert_same_bits(INERTIAL, agent, kwargs)
     assert all(step.knobs == got[i - i % 4].knobs for i, step in enumerate(got))
+
+
+def test_a_model_of_ones_own_gives_the_bits_of_the_environment():
+    """An angle as the only channel, compiled; its noise is R."""
+    kwargs = MODEL | WORLD | {"duration": 2.0}
+    assert_same_bits(OWN, "pooled-noise", kwargs)
+    tuned = TunedFilter(OWN, "pooled-noise", **kwargs)
+    assert tuned.nominal_noise == pytest.approx([0.1])
+    assert (tuned.states, tuned.channels) == (("angle", "rate"), ("angle",))
+
+
+def test_plain_functions_give_the_bits_of_the_environment():
+    motion = own_motion(("place", "speed"), lambda x, u, dt: F @ x, Q=(0.0, 0.1))
+    kwargs = {"motion": motion, "sensor": own_sensor(("place",), lambda x, s: x[:1], states=2)}
+    kwargs |= {"scored": ("place",), "scale": 1.0, "R": (1.0,), "mean": (0.0, 1.0)}
+    assert_same_bits(OWN, "hmm-noise", kwargs | {"P": (1.0, 1.0), "rate": 10.0, "duration": 3.0})
 
 
 def test_the_readme_tells_the_truth(tmp_path, monkeypatch, capsys):

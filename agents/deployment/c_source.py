@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
@@ -14,6 +14,7 @@ from kfenv.envs import memory, statistics
 from kfenv.envs.channels import AXES
 from kfenv.envs.loop import Loop
 from kfenv.envs.options import FULL
+from kfenv.models.yardstick import Yardstick
 
 from ..contestants.networks import MOST_DEVIATIONS, ActionNetwork, FactorNetwork
 from .deployable import Deployable
@@ -35,8 +36,7 @@ def c_files(deployable: Deployable) -> dict[str, str]:
     """The texts of the files, by name.
 
     Raises:
-        ValueError: for a policy that turns the knobs of single channels, or of a model that does
-            not tell the rates of what is scored.
+        ValueError: for a policy that turns the knobs of single channels.
     """
     loop, network = deployable.loop, deployable.policy.network
     single = {channel.name for channel in loop.scenario.sensor.channels}
@@ -44,12 +44,6 @@ def c_files(deployable: Deployable) -> dict[str, str]:
         raise ValueError(
             "The C export has no features of single channels' knobs, and this policy turns some: "
             "export it as onnx."
-        )
-    yardstick = loop.yardstick
-    if yardstick.sensor is not None or yardstick.weights or not yardstick.rates:
-        raise ValueError(
-            "The C export has the features of states that are scored with one scale and of their "
-            "rates: train with scored=NAMES, scale=NUMBER and scored_rates, or export it as onnx."
         )
     parts = _perceptron(network) if isinstance(network, ActionNetwork) else _factors(network)
     known = _sizes(deployable) | _words(deployable) | _constants(loop) | parts
@@ -68,12 +62,12 @@ def _filled(template: str, known: Mapping[str, Any]) -> str:
 
 def _sizes(deployable: Deployable) -> dict[str, Any]:
     loop, policy = deployable.loop, deployable.policy
-    sensor, motion = loop.scenario.sensor, loop.scenario.motion
+    sensor, rates = loop.scenario.sensor, len(loop.yardstick.rates)
     return {
         "CHANNELS": len(sensor.channels),
         "GROUPS": len(sensor.groups),
-        "RATES": len(loop.yardstick.rates),
-        "ACCELERATIONS": len(memory.accelerations(motion)),
+        "RATES": rates,
+        "ACCELERATIONS": len(memory.accelerations(loop.scenario.motion)) if rates else 0,
         "FEATURES": policy.observation_size,
         "MEMORY": policy.network.memory_size,
         "KNOBS": policy.action_size,
@@ -87,18 +81,27 @@ def _sizes(deployable: Deployable) -> dict[str, Any]:
 
 def _words(deployable: Deployable) -> dict[str, str]:
     loop, policy = deployable.loop, deployable.policy
-    sensor, yardstick = loop.scenario.sensor, loop.yardstick
-    scored = "position" if yardstick.name == "position" else "scored states"
-    rate = "velocity" if yardstick.name == "position" else "rates of the scored states"
     places = ", ".join(f"KFENV_{_identifier(knob.name)}" for knob in loop.knobs)
+    channels = ", ".join(f"{c.name} ({c.unit})" for c in loop.scenario.sensor.channels)
+    about = f"Trained on {policy.env_id}, digest {policy.digest[:16]}."
+    told = {"ABOUT": about, "KNOB_PLACES": places, "CHANNEL_NAMES": channels}
+    return told | _words_of_yardstick(loop.yardstick, [s.name for s in loop.scenario.motion.states])
+
+
+def _words_of_yardstick(yardstick: Yardstick, states: Sequence[str]) -> dict[str, str]:
+    scored = [component.name for component in yardstick.components]
+    rates = [states[place] for place in yardstick.rates]
+    if yardstick.weights:
+        scored, rates = (
+            [f"{weight:.6g} {name}" for weight, name in zip(yardstick.weights, names, strict=False)]
+            for names in (scored, rates)
+        )
     return {
-        "ABOUT": f"Trained on {policy.env_id}, digest {policy.digest[:16]}.",
-        "KNOB_PLACES": places,
-        "CHANNEL_NAMES": ", ".join(f"{c.name} ({c.unit})" for c in sensor.channels),
-        "DEVIATION": f"root of the trace of the {scored}'s covariance, {yardstick.unit}",
-        "RATE_DEVIATION": f"the same of the {rate}",
-        "DISTANCE": f"of the {scored} from the axes' origin or, with earth-fixed axes, the start",
-        "RATE": f"the {rate}",
+        "DEVIATION": f"root of the summed variances of {', '.join(scored)}, {yardstick.unit}",
+        "RATE_DEVIATION": f"the same of {', '.join(rates)}" if rates else "not used",
+        "DISTANCE": f"of {', '.join(scored)} from the axes' origin, from the start in earth-fixed "
+        "axes",
+        "RATE": f"{', '.join(rates)}, estimated",
     }
 
 
@@ -129,8 +132,9 @@ def _factors(network: FactorNetwork) -> dict[str, str]:
     named = {name: array for name, array in vars(network).items() if isinstance(array, np.ndarray)}
     named |= {"least": named.pop("log_low"), "most": named.pop("log_high")}
     named |= {} if network.gru is None else vars(network.gru)
-    sizes = f"#define HIDDEN {network.bias_in.size}\n#define CUT ((real){_number(MOST_DEVIATIONS)})\n\n"
-    arrays = sizes + "".join(_array(name, array) for name, array in named.items())
+    cut = f"#define CUT ((real){_number(MOST_DEVIATIONS)})\n\n"
+    arrays = "".join(_array(name, array) for name, array in named.items())
+    arrays = f"#define HIDDEN {network.bias_in.size}\n{cut}{arrays}"
     return {"ARRAYS": arrays, "NETWORK": _filled("factor_network.c", {})}
 
 

@@ -91,14 +91,17 @@ def _episode(deployable: Deployable) -> Recording:
 
 
 def _instant(loop: Loop, arrived: Measurement, dt: float, origin: Array) -> Instant:
-    motion, pending = loop.scenario.motion, loop.pending
-    mean, factor = pending.mean[0], pending.factor[0]
-    places, rates = list(loop.yardstick.states), list(loop.yardstick.rates)
+    yardstick, pending = loop.yardstick, loop.pending
+    mean, factor, weight = pending.mean[0], pending.factor[0], yardstick.weight
+    rates = list(yardstick.rates)
+    rate_weight = weight[: len(rates)]
+    turns = memory.accelerations(loop.scenario.motion) if rates else []
     return Instant(
         pending.innovation[0], innovation_covariance(loop, arrived), arrived.noise[0], dt,
-        np.sqrt(np.sum(factor[places] ** 2)), np.sqrt(np.sum(factor[rates] ** 2)),
-        np.sqrt(np.sum((mean[places] - origin) ** 2)),
-        mean[rates], mean[memory.accelerations(motion)],
+        np.linalg.norm(weight[:, None] * yardstick.rows(mean, factor)),
+        np.linalg.norm(rate_weight[:, None] * factor[rates]),
+        np.linalg.norm(weight * (yardstick.values(mean) - origin)),
+        rate_weight * mean[rates], mean[turns],
     )  # fmt: skip
 
 

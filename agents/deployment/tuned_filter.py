@@ -51,7 +51,8 @@ class TunedFilter:
             estimate = tuned.step(z, 0.5, noise=noise).estimate
 
     Args:
-        env_id: of an environment of kfenv, whose models and scales serve.
+        env_id: of an environment of kfenv, whose models and scales serve: ``"kfenv/Filter-v0"``
+            with ``motion`` and ``sensor`` for models of one's own.
         agent: ``"learned"``, the path of a policy, the name of a rule, or an `Agent`.
         values: tuned parameters of a rule, by name; its defaults where left out.
         nominal_noise: (m,) deviations of the measurements where `step` is told none; by default
@@ -153,7 +154,8 @@ class TunedFilter:
         """
         if self._given is not None:
             return _deviations(self._given, len(self.channels))[0]
-        told = replace(self.scenario, faults="none").episode(np.random.default_rng(0)).noise[0]
+        calm = replace(self.scenario, faults="none")
+        told = calm.sample([np.random.default_rng(0)]).noise[0]
         if not (told == told[0]).all():
             raise ValueError(
                 f"The noise of {self.scenario.name} is another at each measurement: give step its "

@@ -50,12 +50,13 @@ static double log_root(double square)
     return bounded(0.5 * log(square + 1e-4));
 }
 
-#if KFENV_GROUPS && FULL
+#if FULL
 static double capped(double value)
 {
     return value > MOST ? MOST : value < -MOST ? -MOST : value;
 }
 
+#if KFENV_RATES
 static double length(const double *vector, int size)
 {
     double total = 0.0;
@@ -63,6 +64,7 @@ static double length(const double *vector, int size)
         total += vector[i] * vector[i];
     return sqrt(total);
 }
+#endif
 #endif
 
 /* ----- what the filter told ------------------------------------------------------------ */
@@ -173,7 +175,9 @@ static double *tell_statistics(
     }
     *out++ = bounded(log(1.0 + state->since));
     *out++ = bounded(log(now->deviation / ERROR_SCALE));
-    *out++ = KFENV_RATES ? bounded(log(now->rate_deviation / (0.1 * ERROR_SCALE))) : 0.0;
+#if KFENV_RATES
+    *out++ = bounded(log(now->rate_deviation / (0.1 * ERROR_SCALE)));
+#endif
     return out;
 }
 
@@ -271,20 +275,19 @@ static double *tell_group(const kfenv_state *state, int g, double *out)
 
 static double *tell_memory(const kfenv_state *state, const kfenv_instant *now, double *out)
 {
-    double speed = 0.0, strength = 0.0;
     for (int g = 0; g < KFENV_GROUPS; g++)
         out = tell_group(state, g, out);
-#if KFENV_RATES
-    speed = length(now->rate, KFENV_RATES);
-    strength = length(state->change, KFENV_RATES);
-#endif
-#if KFENV_ACCELERATIONS
-    strength = length(now->acceleration, KFENV_ACCELERATIONS);
-#endif
     *out++ = bounded(log(KFENV_INTERVAL * now->dt));
     *out++ = bounded(log1p(now->distance / ERROR_SCALE));
-    *out++ = bounded(log1p(speed / (0.1 * ERROR_SCALE)));
+#if KFENV_RATES
+#if KFENV_ACCELERATIONS
+    const double strength = length(now->acceleration, KFENV_ACCELERATIONS);
+#else
+    const double strength = length(state->change, KFENV_RATES);
+#endif
+    *out++ = bounded(log1p(length(now->rate, KFENV_RATES) / (0.1 * ERROR_SCALE)));
     *out++ = bounded(log1p(strength / (0.01 * ERROR_SCALE)));
+#endif
     return out;
 }
 #endif

@@ -12,7 +12,7 @@
 
 #define KFENV_CHANNELS @CHANNELS@
 #define KFENV_GROUPS @GROUPS@ /* of channels */
-#define KFENV_RATES @RATES@ /* components of the velocity */
+#define KFENV_RATES @RATES@ /* of what is scored, e.g. components of the velocity */
 #define KFENV_ACCELERATIONS @ACCELERATIONS@ /* that the filter's state holds */
 #define KFENV_FEATURES @FEATURES@
 #define KFENV_MEMORY @MEMORY@ /* numbers that the policy keeps */
