@@ -1,5 +1,6 @@
 """A policy elsewhere, as ONNX or C, decides as it does here, and its contract names everything."""
 
+import ctypes
 import json
 import re
 import shutil
@@ -267,6 +268,68 @@ def test_double_precision_is_the_loop_of_the_environment(tmp_path):
         z = np.where(np.isnan(now.innovation), np.nan, whole.measurement[0, t])
         knobs = tuned.step(z, now.dt, noise=now.noise).knobs
         np.testing.assert_allclose([*knobs.values()], vectors.knobs[t], rtol=1e-4)
+
+
+class Instant(ctypes.Structure):
+    """As the header has it for the bistatic case."""
+
+    _fields_ = (
+        ("innovation", ctypes.c_double * 3), ("covariance", ctypes.c_double * 9),
+        ("noise", ctypes.c_double * 3), ("dt", ctypes.c_double), ("deviation", ctypes.c_double),
+        ("rate_deviation", ctypes.c_double), ("distance", ctypes.c_double),
+        ("rate", ctypes.c_double * 3), ("acceleration", ctypes.c_double * 3),
+    )  # fmt: skip
+
+
+def in_c(policy, x, P, H, z, R, dt):
+    """The knobs that the library sets for a textbook filter's prediction."""
+    S, places = H @ P @ H.T + R, (slice(0, None, 3), slice(1, None, 3), slice(2, None, 3))
+    deviation, rate_deviation = (np.sqrt(np.trace(P[p, p])) for p in places[:2])
+    now = Instant(
+        tuple(z - H @ x), tuple(S.ravel()), tuple(np.sqrt(np.diag(R))), dt, deviation,
+        rate_deviation, np.linalg.norm(x[places[0]]), tuple(x[places[1]]), tuple(x[places[2]]),
+    )  # fmt: skip
+    library, state, knobs = policy
+    assert library.kfenv_step(state, ctypes.byref(now), knobs) == 0
+    return np.array(knobs)
+
+
+def test_a_textbook_filter_with_the_policy_in_c_is_the_tuned_filter(tmp_path):
+    """Each knob multiplies what the contract says: covariance-form Kalman filter, linear model."""
+    path = trained_on(
+        tmp_path / "policy.npz", BISTATIC, "mlp-log-factors", observation="full", duration=20.0
+    )
+    deployable = Deployable.find(str(path))
+    export_policy(deployable, "c", tmp_path)
+    if COMPILER is None:
+        pytest.skip("there is no C compiler")
+    build = [COMPILER, "-std=c99", "-shared", "-fPIC", "kfenv_policy.c", "-lm", "-o", "policy.so"]
+    subprocess.run(build, cwd=tmp_path, check=True)
+    library, state = ctypes.CDLL(str(tmp_path / "policy.so")), ctypes.create_string_buffer(1 << 16)
+    library.kfenv_reset(state)
+    policy = library, state, (ctypes.c_double * 5)()
+    dt, one = 0.5, np.eye(3)
+    H, F = np.kron(one, [1.0, 0.0, 0.0]), np.kron(one, [[1, dt, dt**2 / 2], [0, 1, dt], [0, 0, 1]])
+    Q = 0.2 * np.kron(one, [
+        [dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2],
+        [dt**3 / 6, dt**2 / 2, dt],
+    ])  # fmt: skip
+    recording = deployable.loop.scenario.sample([np.random.default_rng(2)])
+    tuned = TunedFilter(BISTATIC, path)
+    tuned.reset(recording.mean[0], recording.factor[0])
+    x, P, noise = recording.mean[0], recording.factor[0] @ recording.factor[0].T, np.zeros((9, 9))
+    for z, told in zip(recording.measurement[0], recording.noise[0], strict=True):
+        knobs = in_c(policy, x, P + noise, H, z, np.diag(told**2), dt)
+        here, told_to_it = ~np.isnan(z), told * knobs[2:]
+        P, h = knobs[0] * P + knobs[1] * noise, H[here]
+        K = np.linalg.solve(h @ P @ h.T + np.diag(told_to_it[here] ** 2), h @ P).T
+        x, P = x + K @ (z[here] - h @ x), P - K @ h @ P
+        step = tuned.step(z, dt, noise=told)
+        np.testing.assert_allclose(knobs, [*step.knobs.values()], rtol=1e-3)
+        np.testing.assert_allclose(x, step.estimate, rtol=1e-3, atol=1e-3)
+        np.testing.assert_allclose(np.diag(P), np.diag(step.covariance), rtol=1e-2)
+        x, P, noise = F @ x, F @ P @ F.T, Q
+    assert np.ptp(np.log(knobs)) > 0.1
 
 
 # ----- at the door ---------------------------------------------------------------------------
