@@ -213,7 +213,7 @@ class TunedFilter:
             observation = self._loop.observe(noise, held, ONE)
         if self.agent.sees == "innovation":
             info = {"time": self._updated, **self._loop.tell(noise, ONE)}
-        return np.clip(self.agent.act(observation, info), -1.0, 1.0)
+        return np.minimum(np.maximum(self.agent.act(observation, info), -1.0), 1.0)
 
     def _arrived(self, z: ArrayLike, noise: ArrayLike | None, s: ArrayLike | None) -> Measurement:
         channels, inputs = len(self.channels), self.scenario.dimensions[1]
