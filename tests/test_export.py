@@ -351,7 +351,7 @@ def test_the_command_writes_the_files_and_says_how_to_test_them(tmp_path):
     (["learned", "--env", BISTATIC, "--to", "onix"], "Did you mean 'onnx'"),
     (["learned", "--to", "npz"], "'learned' is no trained policy"),
     (["hmm-noise", "--env", BISTATIC, "--to", "npz"], "'hmm-noise' is no trained policy"),
-    (["learned", "--env", GNSS, "--to", "npz"], "comes with kfenv for GnssTracking"),
+    (["learned", "--env", OWN, "--to", "npz"], "comes with kfenv for Filter"),
     (["nowhere.npz", "--to", "npz"], "Unknown agent"),
 ])  # fmt: skip
 def test_what_cannot_be_exported_is_told(arguments, said, tmp_path):

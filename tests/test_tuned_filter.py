@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from kfenv.agents.contest.rollout import scenario_and_options, without_truth
 from kfenv.agents.contestants.agent import Briefing
+from kfenv.agents.contestants.learned import OWN_OPTIONS
+from kfenv.agents.contestants.pretrained import FOLDER
 from kfenv.agents.contestants.registry import AGENTS, make_agent
 from kfenv.agents.deployment import TunedFilter
 from pendulum import MODEL, WORLD
@@ -38,8 +40,7 @@ def replayed(env_id, agent, recording, kwargs):
     scenario, options = scenario_and_options(env_id, kwargs)
     agent = make_agent(str(agent)).suited_to(scenario)
     options = replace(options, recording=recording, **agent.own_options)
-    own = {"observation": options.observation, "actions": options.actions}
-    own["most_fading"] = options.most_fading
+    own = {name: getattr(options, name) for name in OWN_OPTIONS}
     env = gym.make(env_id, recording=recording, **(kwargs | own)).unwrapped
     env.reset(seed=0)
     core, over, found = env.core, False, {}
@@ -105,6 +106,12 @@ def test_a_policy_gives_the_bits_of_the_environment(env_id, tmp_path):
 @pytest.mark.parametrize("env_id", [TRACKING, BISTATIC])
 def test_the_learned_agent_gives_the_bits_of_the_environment(env_id):
     assert_same_bits(env_id, "learned", {"duration": 20.0, "rate": 2.0}, seed=3)
+
+
+@every_environment
+def test_whatever_agent_comes_with_kfenv_gives_the_bits_of_the_environment(env_id):
+    if (FOLDER / f"{env_id[6:-3]}.npz").is_file():
+        assert_same_bits(env_id, "learned", short(env_id))
 
 
 @pytest.mark.parametrize("agent", ["hmm-noise", "policy"])
@@ -282,8 +289,8 @@ def test_who_needs_a_whole_recording_is_refused(name):
 def test_agents_that_do_not_suit_are_refused():
     with pytest.raises(ValueError, match="and BistaticTracking has none"):
         TunedFilter(BISTATIC, "raim")
-    with pytest.raises(ValueError, match="comes with kfenv for GnssTracking"):
-        TunedFilter(GNSS, "learned")
+    with pytest.raises(ValueError, match="comes with kfenv for Filter"):
+        TunedFilter(OWN, "learned")
 
 
 @pytest.mark.parametrize("name", [name for name in AGENTS if not AGENTS[name].clairvoyant])
