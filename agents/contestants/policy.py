@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
@@ -180,6 +180,38 @@ def write_policy(
     NumpyPolicy.from_arrays(arrays)
     write_arrays(Path(path), arrays)
     return Path(path)
+
+
+def write_perceptron(
+    path: str | Path,
+    layers: Sequence[Sequence[ArrayLike]],
+    actions: int,
+    env_id: str,
+    env_kwargs: Mapping[str, Any],
+    activation: str = "tanh",
+) -> Path:
+    """Write a multilayer perceptron that any library has trained as a policy file.
+
+    Args:
+        path: of the file.
+        layers: weight (outputs, inputs) and bias (outputs,) of each, as torch has them.
+        actions: how many of the last one's outputs are the actions, which are clipped to -1 and
+            1; what follows (deviations, often) is left out.
+        env_id, env_kwargs: what it was trained on.
+        activation: between the layers, "tanh" or "relu".
+
+    Raises:
+        ValueError: if they do not make a policy; no file is written.
+    """
+    ones = np.ones(actions, np.float32)
+    network = {"kind": "mlp", "algorithm": "ppo", "activation": activation, "layers": len(layers),
+               "low": -ones, "high": ones}  # fmt: skip
+    for i, (weight, bias) in enumerate(layers):
+        rows = slice(actions) if i == len(layers) - 1 else slice(None)
+        network |= {
+            f"weight_{i}": np.asarray(weight)[rows].T, f"bias_{i}": np.asarray(bias)[rows]
+        }  # fmt: skip
+    return write_policy(path, network, {"env_id": env_id, "env_kwargs": dict(env_kwargs)})
 
 
 def _first_line(error: Exception) -> str:
