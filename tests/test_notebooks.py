@@ -61,6 +61,17 @@ SHORT = {
         # SPEC 7.3
         "assert mismatch < 1e-9",
     ),
+    "your_own_filter": (
+        "TRIALS, EPISODES = 1, 8",
+        "error = {r['agent']: r['rmse_geometric_mean'] for r in results}\n"
+        "assert error['clairvoyant'] < error['fixed'] and best in error\n"
+        # the filter that is fed by hand is the one of the contest
+        "from kfenv.agents.contest.rollout import rollout\n"
+        "from kfenv.agents.contestants.registry import make_agent\n"
+        "again = rollout(make_agent(best).with_values(values[best]), 'kfenv/Filter-v0',\n"
+        "                MODEL | WORLD, recording, trace=True)\n"
+        "assert np.array_equal(np.abs(again.off[:, 0, 0]), off)",
+    ),
     "real_gps_log": (
         f"OBSERVATIONS, NAVIGATION = {str(OBSERVED)!r}, {str(BROADCAST)!r}\n"
         "EPISODES, TRIALS, AGENTS, JERKS = 2, 1, (), (1.0, 1e-8)",

@@ -16,14 +16,16 @@ from kfenv.agents.contest.evaluation import evaluate
 from kfenv.agents.contest.rollout import rollout, scenario_and_options
 from kfenv.agents.contestants.registry import make_agent
 from kfenv.agents.task import Task, run_packed
+from numba import njit
 from rollouts import OWN, assert_same, play, random_actions, zeros
 
 from kfenv.envs.loop import make_filter
 from kfenv.filters.engine import Engine
+from kfenv.filters.fingerprint import fingerprint
 from kfenv.filters.pointwise import PointwiseFilter
 from kfenv.filters.reference import ReferenceFilter
 from kfenv.models.model import Component, Sensor
-from kfenv.models.namespaces import scalar
+from kfenv.models.namespaces import batch, compiled, dual, lanes, scalar
 from kfenv.models.own import own_motion, own_sensor
 from kfenv.models.yardstick import Yardstick
 from kfenv.scenarios.faults import Jamming, SignalLoss
@@ -77,6 +79,48 @@ def test_numpy_and_namespace_are_the_same_filter():
         run = filter.run(recording)
         np.testing.assert_allclose(run.mean, engine.mean, atol=1e-9)
         np.testing.assert_allclose(run.nis, engine.nis, atol=1e-8)
+
+
+def test_exponential_logarithm_and_powers_are_those_of_every_backend():
+    x = np.linspace(0.5, 4.0, lanes.LANES)
+
+    def build(xp):
+        @xp.function
+        def function(a):
+            return xp.exp(-a) + xp.log(a), a**3, a**-2
+
+        return function
+
+    expected = np.exp(-x) + np.log(x), x**3, x**-2.0
+    duals = build(dual)(dual.Dual(x, np.ones((len(x), 1))))
+    slopes = -np.exp(-x) + 1.0 / x, 3.0 * x**2, -2.0 * x**-3.0
+    in_lanes, out = build(compiled), np.zeros((3, len(x)))
+
+    @njit(**compiled.FLOATING_POINT)
+    def run(given, out):
+        values = in_lanes(lanes.load(given, 0))
+        for i in range(3):
+            lanes.store(out, i, values[i])
+
+    run(x[None].copy(), out)
+    for i in range(3):
+        np.testing.assert_allclose(build(batch)(x)[i], expected[i], rtol=1e-14)
+        np.testing.assert_allclose(out[i], expected[i], rtol=1e-13)
+        np.testing.assert_allclose(duals[i].value, expected[i], rtol=1e-14)
+        np.testing.assert_allclose(duals[i].gradient[:, 0], slopes[i], rtol=1e-13)
+        assert build(scalar)(float(x[3]))[i] == pytest.approx(expected[i][3], rel=1e-14)
+
+
+def test_a_constant_that_an_inner_function_uses_is_part_of_the_fingerprint():
+    """Otherwise the engine would go on with what it once compiled."""
+
+    def build(gravity, table):
+        scope = {"GRAVITY": gravity, "TABLE": np.array([table])}
+        exec("def f(xp):\n def step(x): return GRAVITY * x + TABLE[0]\n return step", scope)
+        return fingerprint(scope["f"])
+
+    assert build(9.81, 1.0) == build(9.81, 1.0)
+    assert len({build(9.81, 1.0), build(9.8, 1.0), build(9.81, 1.0 + 1e-12)}) == 3
 
 
 def test_a_function_of_one_state_is_called_for_each_and_says_so():
@@ -164,8 +208,8 @@ def test_the_vector_environment_has_the_bits_of_the_single_one():
     heard = [vector.reset(seed=7), *(vector.step(a) for a in actions)]
     for i in range(3):
         single = play(gym.make(OWN, **kwargs).unwrapped, [a[i] for a in actions], seed=7 + i)
-        for (observation, *_), (batch, *_) in zip(single, heard, strict=False):
-            np.testing.assert_array_equal(observation, batch[i])
+        for (observation, *_), (together, *_) in zip(single, heard, strict=False):
+            np.testing.assert_array_equal(observation, together[i])
 
 
 def test_a_recording_is_replayed_and_split():
@@ -404,6 +448,35 @@ def test_a_mistake_in_a_function_is_one_sentence(f, words):
         warnings.simplefilter("ignore")
         own_motion(("a", "b"), f, (1.0, 1.0))
     assert "\n" not in str(caught.value)
+
+
+def test_what_only_the_compiler_refuses_is_one_sentence_too():
+    def f(xp):
+        def half(value):  # lacks its decorator
+            return 0.5 * value
+
+        @xp.function
+        def step(x, u, dt):
+            return (half(x[0]),)
+
+        return step
+
+    motion, sensor = own_motion(("a",), f, (1.0,)), own_sensor(("a",), lambda xp: a_copy(xp), 1)
+    world = {"R": (1.0,), "mean": (0.0,), "P": (1.0,), "duration": 1.0, "rate": 10.0}
+    recording = simulate(motion, sensor, "none", **world)
+    with pytest.raises(
+        ValueError, match=r"cannot compile the model: 'half' .*@xp\.function"
+    ) as told:
+        Engine(motion, sensor).run(recording)
+    assert "\n" not in str(told.value)
+
+
+def a_copy(xp):
+    @xp.function
+    def measure(x, s):
+        return (x[0],)
+
+    return measure
 
 
 @pytest.mark.parametrize(("Q", "words"), [

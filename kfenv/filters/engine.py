@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from functools import lru_cache, partial
 from math import sqrt
@@ -11,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from kfenv.filters.fingerprint import fingerprint
@@ -214,7 +216,28 @@ def _kernel(motion: Motion, sensor: Sensor, kappa: float) -> ModuleType:
 def _entry_point(function: FunctionType, identity: str):
     """Compile a kernel function, cached on disk under a name of its own for each pair."""
     function.__qualname__ = f"{function.__name__}_{identity}"
-    return njit(cache=True, **compiled.FLOATING_POINT)(function)
+    kernel = njit(cache=True, **compiled.FLOATING_POINT)(function)
+
+    def call(*arguments):
+        try:
+            return kernel(*arguments)
+        except NumbaError as error:
+            raise ValueError(_untypable(str(error))) from error
+
+    return call
+
+
+def _untypable(told: str) -> str:
+    """A sentence on a model that cannot be compiled, from what Numba says of it."""
+    culprit = re.search(r"global name '?(\w+)|freevar '?(\w+)|name '?(\w+)'? is not defined", told)
+    name = culprit and next(filter(None, culprit.groups()))
+    where = re.search(r'File "([^"]+)", line (\d+)', told)
+    place = f" (line {where[2]} of {Path(where[1]).name})" if where else ""
+    what = f"{name!r}{place} is nothing that it knows" if name else told.strip().split("\n")[0]
+    return (
+        f"The engine cannot compile the model: {what}. Write @xp.function above every function "
+        "inside, and take + - * / ** and the namespace's functions alone."
+    )
 
 
 def _accessors(n: int, m: int, p: int, k: int) -> dict:

@@ -11,7 +11,7 @@ given one of these modules when it is built:
 `tensor`    torch tensors with gradients (needs torch)
 =========== =====================================================
 
-Each offers ``sqrt, sin, cos, atan2, maximum, minimum`` and ``function``, the
-decorator that every function inside a model's ``build`` carries. `tensor` alone offers
-``gram`` as well, by which a model may do at once what elsewhere is a loop.
+Each offers ``sqrt, sin, cos, atan2, exp, log, maximum, minimum`` and ``function``, the
+decorator that every function inside a model's ``build`` carries; powers are whole numbers.
+`tensor` alone offers ``gram`` as well, by which a model may do at once what elsewhere is a loop.
 """

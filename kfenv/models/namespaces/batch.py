@@ -1,7 +1,7 @@
 """NumPy arrays, one element per filter."""
 
 from numpy import arctan2 as atan2
-from numpy import cos, maximum, minimum, sin, sqrt
+from numpy import cos, exp, log, maximum, minimum, sin, sqrt
 
 
 def function(f):
@@ -9,4 +9,4 @@ def function(f):
     return f
 
 
-__all__ = ["atan2", "cos", "function", "maximum", "minimum", "sin", "sqrt"]
+__all__ = ["atan2", "cos", "exp", "function", "log", "maximum", "minimum", "sin", "sqrt"]

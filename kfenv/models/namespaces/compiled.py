@@ -5,7 +5,7 @@ from math import pi
 from numba import njit
 
 import kfenv.kernel_cache  # noqa: F401  (processes take turns at it)
-from kfenv.models.namespaces.lanes import copysign, floor, sqrt, where_greater
+from kfenv.models.namespaces.lanes import copysign, exp, floor, log, sqrt, where_greater
 
 # NaN marks what did not arrive, so the flags that assume no NaN stay off.
 FLOATING_POINT = {
@@ -96,4 +96,4 @@ def cos(angle):
     return _sin_cos(angle)[1]
 
 
-__all__ = ["atan2", "cos", "function", "maximum", "minimum", "sin", "sqrt"]
+__all__ = ["atan2", "cos", "exp", "function", "log", "maximum", "minimum", "sin", "sqrt"]

@@ -51,6 +51,10 @@ class Dual:
     def __rtruediv__(self, other):
         return _lift(other, self) / self
 
+    def __pow__(self, exponent: float):
+        value = self.value**exponent
+        return _chain(self, value, exponent * self.value ** (exponent - 1.0))
+
     __radd__ = __add__
     __rmul__ = __mul__
 
@@ -87,6 +91,17 @@ def sin(x: Dual) -> Dual:
 def cos(x: Dual) -> Dual:
     """Cosine."""
     return _chain(x, np.cos(x.value), -np.sin(x.value))
+
+
+def exp(x: Dual) -> Dual:
+    """Exponential."""
+    value = np.exp(x.value)
+    return _chain(x, value, value)
+
+
+def log(x: Dual) -> Dual:
+    """Natural logarithm."""
+    return _chain(x, np.log(x.value), 1.0 / x.value)
 
 
 def atan2(y: Dual, x: Dual) -> Dual:
@@ -127,4 +142,6 @@ def seed(state: Array) -> tuple[Dual, ...]:
     )
 
 
-__all__ = ["Dual", "atan2", "cos", "function", "maximum", "minimum", "seed", "sin", "sqrt"]
+__all__ = [
+    "Dual", "atan2", "cos", "exp", "function", "log", "maximum", "minimum", "seed", "sin", "sqrt",
+]  # fmt: skip

@@ -61,6 +61,7 @@ def _function(name: str, arity: int):
 
 
 _sqrt, _floor, _fabs = (_function(name, 1) for name in ("sqrt", "floor", "fabs"))
+_exp, _log = (_function(name, 1) for name in ("exp", "log"))  # lane by lane
 _copysign = _function("copysign", 2)
 
 
@@ -152,6 +153,21 @@ _teach(operator.mul, "fmul")
 _teach(operator.truediv, "fdiv")
 
 
+@overload(operator.pow, jit_options=_INLINE)
+def _overload_pow(a, b):
+    """Whole exponents alone."""
+    if not (_is_lanes(a) and isinstance(b, types.Integer)):
+        return None
+
+    def power(a, b):
+        result = spread(1.0)
+        for _ in range(abs(b)):
+            result = result * a
+        return result if b >= 0 else 1.0 / result
+
+    return power
+
+
 @overload(operator.neg, jit_options=_INLINE)
 def _overload_neg(a):
     return (lambda a: _negative(a)) if _is_lanes(a) else None
@@ -192,6 +208,26 @@ def sqrt(a):
 @overload(sqrt, jit_options=_INLINE)
 def _overload_sqrt(a):
     return (lambda a: _sqrt(a)) if _is_lanes(a) else (lambda a: math.sqrt(a))
+
+
+def exp(a):
+    """Exponential."""
+    return math.exp(a)
+
+
+@overload(exp, jit_options=_INLINE)
+def _overload_exp(a):
+    return (lambda a: _exp(a)) if _is_lanes(a) else (lambda a: math.exp(a))
+
+
+def log(a):
+    """Natural logarithm."""
+    return math.log(a)
+
+
+@overload(log, jit_options=_INLINE)
+def _overload_log(a):
+    return (lambda a: _log(a)) if _is_lanes(a) else (lambda a: math.log(a))
 
 
 def floor(a):

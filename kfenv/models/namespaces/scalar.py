@@ -1,6 +1,6 @@
 """Python floats."""
 
-from math import atan2, cos, sin, sqrt
+from math import atan2, cos, exp, log, sin, sqrt
 
 maximum = max
 minimum = min
@@ -11,4 +11,4 @@ def function(f):
     return f
 
 
-__all__ = ["atan2", "cos", "function", "maximum", "minimum", "sin", "sqrt"]
+__all__ = ["atan2", "cos", "exp", "function", "log", "maximum", "minimum", "sin", "sqrt"]

@@ -1,7 +1,7 @@
 """torch tensors, with gradients. Needs torch, which kfenv itself never imports."""
 
 import torch
-from torch import cos, sin, sqrt
+from torch import cos, exp, log, sin, sqrt
 
 
 def atan2(y, x):
@@ -52,4 +52,4 @@ def gram(table, x, y):
     return tuple(row.unbind(-1) for row in (v.mT @ v).unbind(-2))
 
 
-__all__ = ["atan2", "cos", "function", "gram", "maximum", "minimum", "sin", "sqrt"]
+__all__ = ["atan2", "cos", "exp", "function", "gram", "log", "maximum", "minimum", "sin", "sqrt"]
