@@ -8,6 +8,7 @@ import pytest
 
 pytest.importorskip("torch")
 
+import pendulum
 import torch
 from kfenv.agents.contest.rollout import SPLITS, draw_episodes, rollout, scenario_and_options
 from kfenv.agents.contest.suites import SUITES
@@ -22,7 +23,7 @@ from kfenv.agents.learning.teaching.rolling import roll
 from kfenv.agents.learning.teaching.through_filter import Chunk, Refinery, chunks, no_lane_rules
 from kfenv.agents.learning.teaching.training import teach
 from kfenv.agents.learning.teaching.worlds import TRAINING, build_world, bundled_worlds
-from rollouts import GNSS
+from rollouts import GNSS, OWN
 
 ENV = "kfenv/RadarTracking-v0"
 KWARGS = {"rate": 2.0, "duration": 20.0}
@@ -245,6 +246,19 @@ def test_a_network_for_all_satellites_is_taught_refined_and_resumed(tmp_path):
     again = teach(GNSS, Curriculum(init=str(path), updates=1), seed=1, output=tmp_path / "on",
                   env_kwargs=kwargs, progress=False, **tiny)  # fmt: skip
     assert NumpyPolicy.load(again).digest != NumpyPolicy.load(path).digest
+
+
+def test_a_model_of_ones_own_is_taught_refined_and_known_again(tmp_path):
+    kwargs = pendulum.MODEL | pendulum.WORLD | {"duration": 2.0}
+    told = {"seed": 0, "output": tmp_path / "run", "env_kwargs": kwargs, "progress": False} | TINY
+    path = teach(OWN, Curriculum(updates=2), **told)
+    assert teach(OWN, Curriculum(updates=2), resume=True, **told) == path
+    recording = draw_episodes(OWN, kwargs, "validation", 0, 2)
+    scores = rollout(make_agent(str(path)), OWN, kwargs, recording)
+    assert np.isfinite(scores.rmse).all() and (scores.rmse < 1.0).all()
+    with pytest.raises(ValueError, match=r"env_kwargs\.scale was 0\.05 and is now 0\.1"):
+        changed = told | {"env_kwargs": kwargs | {"scale": 0.1}}
+        teach(OWN, Curriculum(updates=2), resume=True, **changed)
 
 
 @pytest.mark.parametrize("suite, world", WORLDS.items())

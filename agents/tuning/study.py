@@ -18,6 +18,7 @@ from ..contest.rollout import draw_episodes, scenario_and_options
 from ..contest.yardsticks import YARDSTICKS
 from ..contestants.optimised import initial_noise_factor
 from ..files import clear_partial, is_free, read_json, write_json
+from ..plain import plain
 from .criteria import Criterion, blocks_of
 from .diagnostics import Innovations, channel_report, filter_innovations
 from .estimation import estimate
@@ -124,7 +125,7 @@ def _report(
     chosen = study.by[0]
     return {
         "environment": study.env_id,
-        "options": study.env_kwargs,
+        "options": plain(study.env_kwargs),
         "by": list(study.by),
         "shape": study.shape,
         "seed": study.seed,

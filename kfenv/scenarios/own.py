@@ -101,6 +101,11 @@ class OwnFilter(TrackingScenario):
                 )
             _ = self._noise, self.initial_factor, self._start  # complain
 
+    @cached_property
+    def time(self) -> Array:
+        """The instants of an episode, s."""
+        return super().time if self.recording is None else self.recording.time
+
     # ----- what is scored -------------------------------------------------------------
 
     @cached_property

@@ -54,15 +54,16 @@ class Course:
     """A run.
 
     Attributes:
-        folder, config, settings, curriculum, parts, seed: what it was asked for.
+        folder, config, settings, curriculum, env_kwargs, parts, seed: what it was asked for.
         network, optimiser: as training has changed them.
         done: how far it has come.
     """
 
     def __init__(
         self, folder: Path, config: dict[str, Any], settings: TaughtSettings,
-        curriculum: Curriculum, parts: tuple[Part, ...], seed: int,
+        curriculum: Curriculum, env_kwargs: Mapping[str, Any], parts: tuple[Part, ...], seed: int,
     ) -> None:  # fmt: skip
+        self.env_kwargs = env_kwargs  # the config holds its objects in words
         self.folder, self.config, self.settings = folder, config, settings
         self.curriculum, self.parts, self.seed = curriculum, parts, seed
         self.network = self._new_network()

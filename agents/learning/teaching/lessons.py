@@ -70,7 +70,7 @@ def _lesson(course: Course, teacher: Agent, bar: TrainingProgress) -> None:
 
 def _tuned(course: Course, teacher: Agent) -> Agent:
     """The teacher as it is tuned for a contest."""
-    env_id, kwargs = course.config["env_id"], course.config["env_kwargs"]
+    env_id, kwargs = course.config["env_id"], course.env_kwargs
     recording = draw_episodes(env_id, kwargs, "tuning", course.seed, TUNING_EPISODES)
     return tune(teacher, env_id, kwargs, recording, course.settings.tuning_trials, course.seed)
 

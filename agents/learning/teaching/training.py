@@ -74,7 +74,7 @@ def teach(
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder), torch_threads(settings.torch_threads), stop_as_event() as stop:
         write_json(folder / "config.json", config)
-        course = Course(folder, config, settings, curriculum, parts, seed)
+        course = Course(folder, config, settings, curriculum, kwargs, parts, seed)
         _run(course, teacher, stop, progress)
     return folder / "policy.npz"
 
