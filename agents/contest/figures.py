@@ -157,7 +157,7 @@ def _map(
     axes = figure.subplots()
     for result in _shown(results):
         scores = _traced(contest, result, output, window)
-        track = truth[np.searchsorted(window.time, scores.time)] + scores.off[:, 0]
+        track = truth[np.searchsorted(window.times[0], scores.time)] + scores.off[:, 0]
         axes.plot(*_east_north(track, origin, rotation), color=_colour(result, results), lw=1.3,
                   label=result["agent"])  # fmt: skip
     known = slice(None) if window.scored is None else window.scored[0] > 0.0

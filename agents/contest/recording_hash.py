@@ -29,8 +29,8 @@ def recording_hash(recordings: Iterable[Recording]) -> str:
     """
     digest = sha256()
     for recording in recordings:
-        instants = np.linspace(0, len(recording.time) - 1, INSTANTS).astype(int)
-        arrays = [recording.time[:, None]]
+        instants = np.linspace(0, recording.time.shape[-1] - 1, INSTANTS).astype(int)
+        arrays = [recording.time[..., None]]
         arrays += [getattr(recording, name) for name in AT_THE_START]
         arrays += [
             value[:, instants]

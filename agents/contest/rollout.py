@@ -139,7 +139,7 @@ def _decide(
     for _, gone in play(agent, core, recording, seed, watch, block):
         lost |= gone
         if trace:
-            times.append(recording.time[min(core.index.max(), len(recording.time)) - 1])
+            times.append(recording.times[0, min(core.index.max(), recording.time.shape[-1]) - 1])
             errors.append(core.error.copy())
             factors.append(core.factors.copy())
             offs.append(_offset(core))
@@ -206,7 +206,7 @@ def _filter(
 ) -> Scores:
     """Some episodes at a time, so that their covariances fit into memory."""
     check_recording(recording, scenario)
-    size = len(recording.time) * recording.mean.shape[1] ** 2
+    size = recording.time.shape[-1] * recording.mean.shape[1] ** 2
     chunk = max(1, HISTORY_SIZE // size)
     parts = []
     for begin in range(0, len(recording), chunk):
@@ -224,7 +224,7 @@ def _filter(
         return Scores(*joined)
     traces = (np.concatenate([getattr(p, name) for p in parts], axis=1)
               for name in ("error", "factors", "off"))  # fmt: skip
-    return Scores(*joined, recording.time, *traces)
+    return Scores(*joined, recording.times[0], *traces)
 
 
 def _score(
@@ -256,7 +256,7 @@ def _score(
         errors.append(error.copy())
     knobs = len(knobs_of(scenario.sensor.groups, state_groups=scenario.motion.groups))
     off = yardstick.off(history.mean, recording.truth).swapaxes(0, 1)
-    traces = (recording.time, np.array(errors), np.ones((steps, batch, knobs)), off)
+    traces = (recording.times[0], np.array(errors), np.ones((steps, batch, knobs)), off)
     told = _told_nis(history, scenario, recording), seconds
     traces = traces if trace else ()
     return _settle(scenario, recording, lost, count, squared, nees_sum, *told, *traces)

@@ -106,7 +106,7 @@ def unexplained(scenario: TrackingScenario, recording: Recording) -> Array:
     functions = motion.build(batch)
     state = tuple(np.moveaxis(recording.truth[:, :-1], -1, 0))
     inputs = tuple(np.moveaxis(recording.motion_inputs[:, 1:], -1, 0))
-    dt = np.broadcast_to(np.diff(recording.time), state[0].shape)
+    dt = np.broadcast_to(np.diff(recording.times), state[0].shape)
     predicted = np.stack(np.broadcast_arrays(*functions.step(state, inputs, dt)))
     variance = np.zeros_like(predicted)
     entries = functions.noise_factor(state, inputs, dt)

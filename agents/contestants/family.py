@@ -67,7 +67,7 @@ class AdaptiveFamilyFilter(RecordingFilter):
 def _is_linear(scenario: Any, recording: Recording) -> bool:
     """Whether motion and sensor have the same slopes at the initial mean and a deviation away."""
     states = recording.mean[0] + np.stack([0.0 * recording.mean[0], recording.factor[0].sum(1)])
-    no_angles, dt = np.array([], int), np.full(2, recording.time[1] - recording.time[0])
+    no_angles, dt = np.array([], int), np.full(2, recording.times[0, 1] - recording.times[0, 0])
     motion, sensor = scenario.motion.build, scenario.sensor.build
     known = recording.motion_inputs[[0, 0], 1], recording.sensor_inputs[[0, 0], 0]
     functions = (

@@ -11,7 +11,7 @@ import numpy as np
 from kfenv.envs.knobs import Knob
 from kfenv.envs.options import Options
 from kfenv.filters.engine import Engine
-from kfenv.filters.protocol import Knobs, measured
+from kfenv.filters.protocol import Knobs, elapsed, measured
 from kfenv.filters.results import OK, History, Prediction
 from kfenv.models.namespaces import batch
 from kfenv.scenarios.recording import Recording
@@ -52,7 +52,7 @@ class Okf(CompiledFilter):
         n = recording.mean.shape[1]
         status, failed_at = np.zeros(shape[0], np.int64), np.full(shape[0], -1)
         means, factors = np.full((*shape, n), np.nan), np.full((*shape, n, n), np.nan)
-        nis, dt = np.full(shape, np.nan), np.diff(recording.time, prepend=recording.time[0])
+        nis, dt = np.full(shape, np.nan), elapsed(recording)
         noise = self._process_noise(scenario, recording)
         scale = self._noise_scale(scenario)
         knobs, mean, factor = Knobs.nominal(shape[0]), recording.mean, recording.factor
@@ -61,7 +61,7 @@ class Okf(CompiledFilter):
                 prediction = Prediction(mean, factor, np.zeros_like(factor))
             else:
                 inputs = np.ascontiguousarray(recording.motion_inputs[:, t])
-                prediction = engine.predict(mean, factor, inputs, np.full(shape[0], dt[t]), status)
+                prediction = engine.predict(mean, factor, inputs, dt[:, t].copy(), status)
                 prediction = prediction._replace(noise=noise)
             pending = measured(recording, t)
             told = engine.update(
@@ -93,7 +93,7 @@ class Okf(CompiledFilter):
 def initial_noise_factor(scenario: TrackingScenario, recording: Recording) -> Array:
     """The model's lower factor (B, n, n) of Q for each episode's first step."""
     motion, n = scenario.motion, recording.mean.shape[1]
-    dt = np.full(len(recording), recording.time[1] - recording.time[0])
+    dt = recording.times[:, 1] - recording.times[:, 0]
     inputs = tuple(recording.motion_inputs[:, 1].T)
     entries = motion.build(batch).noise_factor(tuple(recording.mean.T), inputs, dt)
     factor = np.zeros((len(recording), n, n))

@@ -15,7 +15,7 @@ from kfenv.envs import rewards, statistics
 from kfenv.envs.foresight import Foresight
 from kfenv.envs.loop import IDLE, Loop
 from kfenv.envs.options import Options
-from kfenv.filters.protocol import Measurement
+from kfenv.filters.protocol import Measurement, elapsed
 from kfenv.scenarios.recording import Recording
 
 Array = NDArray[np.float64]
@@ -29,7 +29,7 @@ class Core(Loop):
         scenario: gives motion, sensor and scales.
         options: of the environment.
         batch: B.
-        times: (T,) the instants of every episode, s.
+        times: (T,) of every episode, or of some (N, T), s, until one is loaded.
         has_truth: whether the episodes carry the truth.
     """
 
@@ -37,8 +37,8 @@ class Core(Loop):
         self, scenario: Any, options: Options, batch: int, times: Array, has_truth: bool
     ) -> None:
         super().__init__(scenario, options, batch)
-        self.time, self.has_truth = times, has_truth
-        n, m, steps = len(scenario.motion.states), len(scenario.sensor.channels), len(times)
+        self.has_truth, steps = has_truth, np.shape(times)[-1]
+        n, m = len(scenario.motion.states), len(scenario.sensor.channels)
         inputs = scenario.dimensions
         self._episode = {
             "measurement": np.full((batch, steps, m), np.nan),
@@ -50,8 +50,8 @@ class Core(Loop):
             self._episode["truth"] = np.zeros((batch, steps, n))
             self._episode["scored"] = np.ones((batch, steps))
         self._nominal_error = np.zeros((batch, steps))
-        self._dt = np.diff(times, prepend=times[0])
-        self._held = self.interval * np.diff(times, prepend=2.0 * times[0] - times[1])
+        self.time = np.tile(np.atleast_2d(times)[0], (batch, 1))
+        self._dt = np.zeros((batch, steps))
         self._rows, self._last = np.arange(batch), steps - 1
         self.index = np.zeros(batch, np.int64)
         self._scored = np.zeros(batch, np.int64)
@@ -70,6 +70,7 @@ class Core(Loop):
         for name, array in self._episode.items():
             given = getattr(recording, name)
             array[chosen] = 1.0 if given is None else given  # only `scored` may be left out
+        self.time[chosen], self._dt[chosen] = recording.times, elapsed(recording)
         if self.options.reward == rewards.IMPROVEMENT and self.has_truth:
             self._nominal_error[chosen] = self._errors_of_nominal(recording)
         for begins_at_zero in (
@@ -128,7 +129,7 @@ class Core(Loop):
         self.total_squared_error += squared
         self.total_scored += count
         lost = running & self.lost
-        ended = running & ~lost & (self.index >= len(self.time))
+        ended = running & ~lost & (self.index > self._last)
         if self.options.reward == rewards.IMPROVEMENT:
             count = np.maximum(count, 1.0)
             reward = self._paid_for_loss(self._improvement(squared / count, nominal / count), begin)
@@ -150,7 +151,7 @@ class Core(Loop):
 
     def _paid_for_loss(self, reward: Array, begin: NDArray[np.int64]) -> Array:
         """A dense reward of decisions begun at these indices; a loss pays for all to come."""
-        remaining = -(-(len(self.time) - begin) // self.interval)
+        remaining = -(-(self._last + 1 - begin) // self.interval)
         return np.where(self.lost, -rewards.CAP * remaining, reward)
 
     def _added_cost(self) -> Array:
@@ -168,7 +169,7 @@ class Core(Loop):
         worst = rewards.worst(
             self.options.reward, self.scenario.error_scale, self.scenario.lost_distance
         )
-        return np.where(self.lost, -worst * (1.0 - self.index / len(self.time)), 0.0)
+        return np.where(self.lost, -worst * (1.0 - self.index / (self._last + 1)), 0.0)
 
     def _gather(self, name: str) -> Array:
         """What an episode holds at each filter's instant, or at the last one beyond it."""
@@ -185,6 +186,11 @@ class Core(Loop):
     def _instant(self) -> NDArray[np.int64]:
         return np.minimum(self.index, self._last)
 
+    @property
+    def _passed(self) -> Array:
+        """Seconds (B,) from the instant before."""
+        return self._dt[self._rows, self._instant]
+
     def _correct(self, active: Mask) -> None:
         if self.foresight is not None:
             self.foresight.correct(self._measurement(), np.where(active, self.status, IDLE))
@@ -192,10 +198,10 @@ class Core(Loop):
         np.copyto(self._scored, self.index, where=active)
 
     def _predict(self, active: Mask) -> None:
-        self.predict(self._gather("motion_inputs"), self._dt[self._instant], active)
+        self.predict(self._gather("motion_inputs"), self._passed, active)
 
     def _look(self, active: Mask) -> None:
-        self.look(self._measurement(), self._dt[self._instant], active)
+        self.look(self._measurement(), self._passed, active)
 
     @property
     def _due(self) -> Mask:
@@ -206,7 +212,7 @@ class Core(Loop):
         """Book the pending innovation as the decision's knobs, still held, foresee it."""
         if self.foresight is None:
             return
-        dt, work = self._dt[self._instant], np.where(active, self.status, IDLE)
+        dt, work = self._passed, np.where(active, self.status, IDLE)
         self.foresight.predict(self._gather("motion_inputs"), dt, work)
         arrived = self._measurement()
         self.foresight.look(self.foresee(arrived, self._due, work), arrived, dt, work)
@@ -234,12 +240,13 @@ class Core(Loop):
 
     def observation(self) -> NDArray[np.float32]:
         """A fresh (B, D) array; see `feature_names`."""
-        return self.observe(self._gather("noise"), self._held[self._instant], self._pends)
+        step = self._dt[self._rows, np.maximum(self._instant, 1)]  # at first that of the next
+        return self.observe(self._gather("noise"), self.interval * step, self._pends)
 
     def information(self) -> dict[str, Any]:
         """Fresh arrays (B, ...) for the info dictionary; nothing of them is in the observation."""
         info: dict[str, Any] = {
-            "time": self.time[self._scored],
+            "time": self.time[self._rows, self._scored],
             self.yardstick.error_name: self.error.copy(),
             **self.tell(self._gather("noise"), self._pends),
         }
@@ -251,7 +258,7 @@ class Core(Loop):
     @property
     def _pends(self) -> Mask:
         """Whether a measurement waits for its update; not where the episode is over."""
-        return (self.index < len(self.time)) & ~self.lost & (self.status == 0)
+        return (self.index <= self._last) & ~self.lost & (self.status == 0)
 
     def scored_covariance(self) -> Array:
         """A fresh (B, d, d): the posterior covariance of what is scored, e.g. the position, m^2."""

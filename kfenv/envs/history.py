@@ -37,7 +37,7 @@ class History:
     def __init__(self, scenario: Any, recording: Recording, knobs: int) -> None:
         yardstick = scenario.yardstick
         self.stride = scenario.steps_per_measurement
-        self.time = recording.time
+        self.time = recording.times[0]
         start = yardstick.values(recording.mean[0])
         self._origin, self._rotation = scenario.local_frame(start)
         truth = recording.truth
@@ -52,7 +52,7 @@ class History:
         self.colours = dict(zip(labels, cycle(FAULT_COLOURS), strict=False))
         rows = self._rotation @ yardstick.rows(recording.mean[0], recording.factor[0])
         self.centre, self.spread = self._local(start), rows @ rows.T
-        size = len(recording.time)
+        size = len(self.time)
         self._count = 0
         self._steps, self._error = np.empty((2, size))
         d = len(yardstick)

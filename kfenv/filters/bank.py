@@ -17,7 +17,7 @@ from scipy.linalg import expm
 
 from kfenv.filters.gaussian_sum import Mixture
 from kfenv.filters.mixing import mix
-from kfenv.filters.protocol import Episodes, Filter, Knobs, Measurement, Status, measured
+from kfenv.filters.protocol import Episodes, Filter, Knobs, Measurement, Status, elapsed, measured
 from kfenv.filters.results import BAD_PREDICTION, BAD_UPDATE, OK, History, Prediction, blame
 
 Array = NDArray[np.float64]
@@ -126,13 +126,13 @@ class Bank:
         root = np.repeat(factor, count, axis=0)
         return Prediction(np.repeat(mean, count, axis=0), root, np.zeros_like(root))
 
-    def predict(self, mixed: Mixed, inputs: Array, dt: float, status: Status) -> Prediction:
-        """Time update of all filters (B K rows) over dt seconds with known inputs (B, p)."""
-        count, (batch, n) = len(self.modes), mixed.mean.shape
+    def predict(self, mixed: Mixed, inputs: Array, dt: Array, status: Status) -> Prediction:
+        """Time update of all filters (B K rows) over dt (B,) seconds with known inputs (B, p)."""
+        count, n = len(self.modes), mixed.mean.shape[1]
         work = np.repeat(status, count)
         prediction = self.tier.predict(
             mixed.means.reshape(-1, n), mixed.factors.reshape(-1, n, n),
-            np.repeat(inputs, count, axis=0), np.full(batch * count, dt), work,
+            np.repeat(inputs, count, axis=0), np.repeat(dt, count), work,
         )  # fmt: skip
         _mark(prediction, work)
         return prediction
@@ -183,11 +183,21 @@ class Bank:
         weighed = np.sum(weight * np.where(weight > 0.0, nis, 0.0), axis=1)
         return Components(weight, mean, factor, innovation, variance, weighed)
 
+    def _transitions(self, dt: Array) -> Array:
+        """Of each episode's seconds (B,): (K, K) where all are the same, else (B, K, K)."""
+        if (dt == dt[0]).all():
+            return self.transition(dt[0])
+        return np.stack([self.transition(passed) for passed in dt])
+
     def mix(self, components: Components, transition: Array) -> Mixed:
-        """The estimate of all components, and each mode's start of the next prediction."""
+        """The estimate of all components, and each mode's start of the next prediction.
+
+        Args:
+            transition: (K, K), or each episode's (B, K, K).
+        """
         batch, count = len(components.weight), len(self.modes)
         split = components.weight.reshape(batch, count, -1)
-        joint = split[..., None] * transition[:, None, :]  # (B, K, H, K)
+        joint = split[..., None] * transition[..., :, None, :]  # (B, K, H, K)
         probability = joint.sum(axis=(1, 2))
         weights = np.empty((batch, split.shape[1] * split.shape[2], count + 1))
         with np.errstate(invalid="ignore"):
@@ -206,10 +216,10 @@ class Bank:
         nis = np.full((batch, steps), np.nan)
         prediction = self.start(episodes.mean, episodes.factor)
         probability = np.full((batch, len(self.modes)), 1.0 / len(self.modes))
-        dt = np.diff(episodes.time, append=episodes.time[-1])
+        dt = np.roll(elapsed(episodes), -1, axis=1)  # until the next instant, 0 at the last
         for t in range(steps):
             components = self.update(prediction, probability, measured(episodes, t), status)
-            mixed = self.mix(components, self.transition(dt[t]))
+            mixed = self.mix(components, self._transitions(dt[:, t]))
             probability = mixed.probability
             blame(status, BAD_UPDATE, mixed.mean, mixed.factor)
             failed_at[(status != OK) & (failed_at < 0)] = t
@@ -218,7 +228,7 @@ class Bank:
             nis[sound, t] = components.nis[sound]
             if t + 1 < steps:
                 inputs = np.ascontiguousarray(episodes.motion_inputs[:, t + 1])
-                prediction = self.predict(mixed, inputs, dt[t], status)
+                prediction = self.predict(mixed, inputs, dt[:, t].copy(), status)
         return History(means, nis, status, failed_at, factors @ factors.swapaxes(-1, -2), factors)
 
 

@@ -16,7 +16,7 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from kfenv.filters.fingerprint import fingerprint
-from kfenv.filters.protocol import Episodes, Knobs, Measurement
+from kfenv.filters.protocol import Episodes, Knobs, Measurement, elapsed
 from kfenv.filters.results import Prediction, Run, Update
 from kfenv.models.model import Motion, Sensor
 from kfenv.models.namespaces import compiled, lanes
@@ -136,7 +136,7 @@ class Engine:
             episodes.measurement, episodes.noise,
         )  # fmt: skip
         self._kernel.run(
-            mean, _rows(factor), np.diff(episodes.time, prepend=episodes.time[:1]), *series,
+            mean, _rows(factor), elapsed(episodes)[..., None].copy(), *series,
             _roots(knobs or Knobs.nominal(batch)), self._scratch, *result,
         )  # fmt: skip
         return result

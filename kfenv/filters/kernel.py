@@ -184,7 +184,8 @@ def run(mean, factor, dt, u, s, measurement, deviation, scales, scratch, means, 
         for t in range(measurement.shape[1]):
             if t > 0:
                 _gather(u[:, t], first, w.u)
-                _predict_lanes(w.posterior, w.S, w.u, spread(dt[t]), w.predicted, w.L, w.Q, w.X)
+                _gather(dt[:, t], first, w.dt)
+                _predict_lanes(w.posterior, w.S, w.u, load(w.dt, 0), w.predicted, w.L, w.Q, w.X)
             else:
                 for k in range(N * N):
                     store(w.Q, k, spread(0.0))

@@ -44,7 +44,7 @@ class Episodes(Protocol):
 
     @property
     def time(self) -> Array:
-        """Increasing, (T,)."""
+        """Increasing, (T,), or each episode's own (B, T)."""
 
     @property
     def mean(self) -> Array:
@@ -75,6 +75,12 @@ def measured(episodes: Episodes, t: int) -> Measurement:
     """What arrives at the instant of index t."""
     series = episodes.sensor_inputs, episodes.measurement, episodes.noise
     return Measurement(*(np.ascontiguousarray(array[:, t]) for array in series))
+
+
+def elapsed(episodes: Episodes) -> Array:
+    """Seconds (B, T) since the instant before, zero at the first."""
+    passed = np.diff(episodes.time, axis=-1, prepend=episodes.time[..., :1])
+    return np.broadcast_to(passed, episodes.measurement.shape[:2])
 
 
 class Filter(Protocol):

@@ -10,7 +10,7 @@ from numpy.typing import DTypeLike, NDArray
 from kfenv.filters import covariance, square_root, unit_triangular
 from kfenv.filters.designs import FilterDesign, find_design
 from kfenv.filters.matrices import cholesky, solve_lower
-from kfenv.filters.protocol import Episodes, Knobs, Measurement, measured
+from kfenv.filters.protocol import Episodes, Knobs, Measurement, elapsed, measured
 from kfenv.filters.results import (
     BAD_INNOVATION,
     BAD_PREDICTION,
@@ -190,14 +190,13 @@ class ReferenceFilter:
         spread = self._form.start(factor)
         means = np.full((batch_size, steps, mean.shape[1]), np.nan)
         nis = np.full((batch_size, steps), np.nan)
-        dt = np.diff(episodes.time, prepend=episodes.time[:1])
+        dt = elapsed(episodes)
         for t in range(steps):
             if t == 0:
                 prediction = Prediction(mean, spread, np.zeros_like(spread))
                 blame(status, BAD_PREDICTION, mean, spread)
             else:
-                elapsed = np.full(batch_size, dt[t])
-                known = self._rounded(episodes.motion_inputs[:, t], elapsed)
+                known = self._rounded(episodes.motion_inputs[:, t], dt[:, t].copy())
                 prediction = self._predict(mean, spread, *known, status)
             (seen,) = self._all_rounded(measured(episodes, t))
             told = self._update(prediction, knobs, seen, status, correct=True)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from kfenv.filters.fading import Fading, fading_factor, second_moment
 from kfenv.filters.matrices import cholesky, symmetric, transpose, tria
-from kfenv.filters.protocol import Episodes, Filter, Knobs, Measurement, measured
+from kfenv.filters.protocol import Episodes, Filter, Knobs, Measurement, elapsed, measured
 from kfenv.filters.results import (
     BAD_PREDICTION,
     NOT_POSITIVE_DEFINITE,
@@ -43,7 +43,7 @@ def replay(
     means = np.full((batch, steps, mean.shape[1]), np.nan)
     nis = np.full((batch, steps), np.nan)
     factors = np.full((batch, steps, *factor.shape[1:]), np.nan) if keep else None
-    dt = np.diff(episodes.time, prepend=episodes.time[:1])
+    dt = elapsed(episodes)
     moment = np.full((batch, m), np.nan)
     for t in range(steps):
         if t == 0:
@@ -51,7 +51,7 @@ def replay(
             blame(status, BAD_PREDICTION, mean, factor)
         else:
             inputs = np.ascontiguousarray(episodes.motion_inputs[:, t])
-            prediction = tier.predict(mean, factor, inputs, np.full(batch, dt[t]), status)
+            prediction = tier.predict(mean, factor, inputs, dt[:, t].copy(), status)
         pending = prediction, knobs, measured(episodes, t), status
         if rule is None or np.isnan(episodes.measurement[:, t]).all():
             told = tier.update(*pending)

@@ -28,7 +28,7 @@ class Recording:
     motion input at index t drives the step from t - 1 to t.
 
     Attributes:
-        time: (T,), increasing.
+        time: (T,), increasing, or (B, T) where each episode has its own times.
         measurement: (B, T, m), NaN where nothing arrived.
         noise: (B, T, m) standard deviations that the filter is told.
         mean, factor: initial state (B, n) and lower factor of its covariance (B, n, n).
@@ -80,17 +80,22 @@ class Recording:
         if chosen.ndim == 0:
             chosen = chosen[None]
         arrays = {
-            field.name: value if value is None or field.name == "time" else value[chosen]
+            field.name: value if value is None or value.ndim == 1 else value[chosen]
             for field in fields(self)[:-1]
             for value in [getattr(self, field.name)]
         }
         return Recording(**arrays, faults=tuple(self.faults[i] for i in chosen))
 
     @property
+    def times(self) -> Array:
+        """The instants (B, T) of each episode."""
+        return np.broadcast_to(self.time, self.measurement.shape[:2])
+
+    @property
     def scored_instants(self) -> Array:
         """Number of instants (B,) at which the truth counts."""
         if self.scored is None:
-            return np.full(len(self), float(len(self.time)))
+            return np.full(len(self), float(self.time.shape[-1]))
         return self.scored.sum(axis=1)
 
     def _check_shapes(self) -> None:
@@ -103,7 +108,7 @@ class Recording:
         batch, steps, m = self.measurement.shape
         n = self.mean.shape[1]
         expected = {
-            "time": (steps,),
+            "time": (steps,) if self.time.ndim == 1 else (batch, steps),
             "noise": (batch, steps, m),
             "mean": (batch, n),
             "factor": (batch, n, n),

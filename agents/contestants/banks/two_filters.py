@@ -66,10 +66,10 @@ class HearingBank(Bank):
         return super().start(mean, factor)
 
     def predict(
-        self, mixed: Mixed, inputs: Array, dt: float, status: NDArray[np.int64]
+        self, mixed: Mixed, inputs: Array, dt: Array, status: NDArray[np.int64]
     ) -> Prediction:
         """See `Bank.predict`."""
-        self._passed = np.full(len(self._passed), dt)
+        self._passed = dt
         return super().predict(mixed, inputs, dt, status)
 
     def update(

@@ -76,4 +76,4 @@ def scaling_for(env_id: str, env_kwargs: Mapping[str, Any], gamma: float) -> Sca
 def _decisions(scenario: Any, options: Options) -> int:
     """Of an episode."""
     time = scenario.time if options.recording is None else options.recording.time
-    return -(-len(time) // (options.decision_interval or scenario.steps_per_measurement))
+    return -(-time.shape[-1] // (options.decision_interval or scenario.steps_per_measurement))

@@ -71,7 +71,7 @@ def _next_chunks(course: Course) -> list[Chunk]:
     part = choose(course.parts, rng)
     recording = part.draw(course.seed, number, settings.refined_episodes)
     interval = part.options.decision_interval or part.scenario.steps_per_measurement
-    decisions = -(-len(recording.time) // interval)
+    decisions = -(-recording.time.shape[-1] // interval)
     first = int(rng.integers(1, settings.chunk + 1))
     cuts = chunks(decisions, settings.chunk, min(first, decisions))
     rolled = roll(course.network, part, recording, keep={begin for begin, _ in cuts})

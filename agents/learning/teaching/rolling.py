@@ -136,7 +136,7 @@ def _valid(
     valid = np.repeat(running[:, :, None], len(core.knobs), axis=2)
     if not teacher.clairvoyant:
         return valid
-    instants = np.minimum(np.arange(len(running)) * core.interval, len(recording.time) - 1)
+    instants = np.minimum(np.arange(len(running)) * core.interval, recording.time.shape[-1] - 1)
     arrived = ~np.isnan(recording.measurement[:, instants]).swapaxes(0, 1)  # (N, B, m)
     channels = core.scenario.sensor.channels
     for k, knob in enumerate(core.knobs):

@@ -16,6 +16,7 @@ import torch
 
 from kfenv.envs import rewards
 from kfenv.envs.state_knobs import places_of_states
+from kfenv.filters.protocol import elapsed
 from kfenv.scenarios.recording import Recording
 
 from ..channelwise import Network
@@ -104,7 +105,7 @@ class Refinery:
         series = _Series(recording)
         alive = torch.from_numpy(roll.running[begin])
         errors, consistency, counts = [], [], []
-        last = len(recording.time) - 1
+        last = recording.time.shape[-1] - 1
         for step in range(len(factors) * core.interval):
             decision, i = step // core.interval, begin * core.interval + step
             alive = alive & torch.from_numpy(roll.running[begin + decision])
@@ -124,7 +125,7 @@ class Refinery:
                 break
             predicted = self.filter.predict(
                 posterior.mean, posterior.covariance, series.motion_inputs[:, i + 1],
-                series.dt[i + 1].expand(len(mean)),
+                series.dt[:, i + 1],
             )  # fmt: skip
             alive = alive & ~predicted.failed
         return torch.stack(errors), torch.stack(consistency), torch.stack(counts)
@@ -177,7 +178,7 @@ class _Series:
         self.sensor_inputs = tensor(recording.sensor_inputs)
         self.motion_inputs = tensor(recording.motion_inputs)
         self.truth = tensor(recording.truth)
-        self.dt = tensor(np.diff(recording.time, prepend=recording.time[0]))
+        self.dt = tensor(elapsed(recording))
         known = recording.scored
         self.scored = tensor(np.ones(recording.truth.shape[:2]) if known is None else known)
 
