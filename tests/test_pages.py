@@ -22,12 +22,11 @@ from kfenv.envs.wording import WIDTH, wrap
 from kfenv.models.gnss.receiver import range_deviation
 from kfenv.models.strapdown import GRAVITY
 from kfenv.scenarios import coverage
-from kfenv.scenarios.gnss.log import PARTS as GNSS_PARTS
 from kfenv.scenarios.inertial.flights import PERIOD, TURN_SPEED
-from kfenv.scenarios.inertial.log import PARTS as INERTIAL_PARTS
 from kfenv.scenarios.radar.tracking import RadarTracking
 from kfenv.scenarios.radar.validation import PUBLISHED_NOISE
 from kfenv.scenarios.trajectories import paper_trajectory
+from kfenv.scenarios.windows import PARTS
 
 HEADINGS = [
     "Description", "Action Space", "Observation Space", "Rewards", "Starting State",
@@ -190,9 +189,9 @@ def test_the_figures_that_are_typed():
         assert f"{told} at {word}" in flat(VALIDATION)
     assert f"{TURN_SPEED:g} m/s, a bank of 45 deg" in flat(INERTIAL)
     assert f"and back in {PERIOD:g} s" in flat(INERTIAL)
-    for env_id, parts in ((GNSS, GNSS_PARTS), (INERTIAL, INERTIAL_PARTS)):
-        assert f"first {100 * parts['tuning'][1]:g} %" in flat(env_id)
-        assert parts["validation"][1] == 0.5  # "next 20 %", "last half"
+    assert PARTS["validation"][1] == 0.5  # "next 20 %", "last half"
+    for env_id in (GNSS, INERTIAL):
+        assert f"first {100 * PARTS['tuning'][1]:g} %" in flat(env_id)
 
 
 def test_the_places_that_are_typed():

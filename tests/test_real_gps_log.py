@@ -34,11 +34,11 @@ from kfenv.models.gnss.orbits import EARTH_RATE, SPEED_OF_LIGHT, Constellation
 from kfenv.models.gnss.pseudorange import pseudoranges
 from kfenv.scenarios.gnss.ephemeris import RELATIVITY, read_navigation, satellite_states
 from kfenv.scenarios.gnss.fix import fix, signals
-from kfenv.scenarios.gnss.log import PARTS
 from kfenv.scenarios.gnss.reading import MILLISECOND, read_log
 from kfenv.scenarios.gnss.rinex import L1, read_observations
 from kfenv.scenarios.gnss.tracking import GnssTracking
 from kfenv.scenarios.recording import Recording
+from kfenv.scenarios.windows import PARTS
 
 pytestmark = needs_rinex
 

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from rollouts import every_environment, short, zeros
 
-from kfenv.envs.history import measured_positions, merged
+from kfenv.envs.history import merged
 from kfenv.envs.panels import ellipse
 from kfenv.envs.radar import RadarTrackingEnv
 from kfenv.models.model import Component, Sensor
 from kfenv.models.namespaces import batch
 from kfenv.models.position import position
 from kfenv.models.radar import radar
+from kfenv.scenarios.measured import measured_positions
 from kfenv.scenarios.recording import FaultInterval
 
 ACTION = np.array([0.1, 0.2, -0.1, 0.3, 0.0])

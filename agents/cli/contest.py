@@ -15,12 +15,14 @@ from .options import (
     Executor,
     Faults,
     Option,
+    Plots,
     Processes,
     Rate,
     Resume,
     Rinex,
     Seed,
     Track,
+    Truth,
     TuneOn,
     env_kwargs,
     is_real_log,
@@ -50,6 +52,8 @@ def evaluate(
     faults: Faults = None,
     track: Track = None,
     rinex: Rinex = None,
+    plots: Plots = None,
+    truth: Truth = None,
     option: Option = None,
     tuning_episodes: Annotated[
         int,
@@ -74,7 +78,7 @@ def evaluate(
     satellite-hmm, clairvoyant-channels.
     """
     with complaints():
-        kwargs = env_kwargs(rate, faults, track, rinex, option)
+        kwargs = env_kwargs(rate, faults, track, rinex, option, plots, truth)
         run_contest(
             env, kwargs, tuple(agent or _default_agents(kwargs)), episodes, seed, tuning_episodes,
             tuning_trials, output, workers(executor, processes), resume, against, tune_on,

@@ -40,6 +40,20 @@ Rinex = Annotated[
         "tuning, 20 % for validation, the last half for the test, without overlap.",
     ),
 ]
+Plots = Annotated[
+    Path | None,
+    typer.Option(
+        help="Real plots of a target: CSV with t and what ENV's page tells, for a radar range_m, "
+        "azimuth_deg, elevation_deg. Cut into windows as with --rinex.",
+    ),
+]
+Truth = Annotated[
+    Path | None,
+    typer.Option(
+        help="The true track beside --plots: CSV with t, x_m, y_m, z_m, or a flight as --track "
+        "takes (then --option radar_position=[LAT,LON,HEIGHT] too)."
+    ),
+]
 Option = Annotated[
     list[str] | None,
     typer.Option("--option", help="KEY=VALUE, any other keyword of ENV, value in JSON."),
@@ -91,7 +105,7 @@ def workers(executor: str, processes: int) -> Workers:
 
 def env_kwargs(
     rate: float | None, faults: str | None, track: Path | None, rinex: tuple[Path, Path] | None,
-    option: list[str] | None,
+    option: list[str] | None, plots: Path | None = None, truth: Path | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """The environment's keywords; complains of an option that is no KEY=VALUE."""
     kwargs: dict[str, Any] = {}
@@ -108,6 +122,10 @@ def env_kwargs(
         kwargs["track"] = str(track.resolve())
     if rinex is not None:
         kwargs["rinex"] = [str(path.resolve()) for path in rinex]
+    if truth is not None and plots is None:
+        raise ValueError("--truth goes with --plots: give the plots too.")
+    if plots is not None:
+        kwargs["plots"] = [str(path.resolve()) for path in (plots, truth) if path is not None]
     return kwargs
 
 
@@ -120,4 +138,4 @@ def json_or_text(value: str) -> Any:
 
 def is_real_log(kwargs: dict[str, Any]) -> bool:
     """Whether the episodes are windows of a real log."""
-    return kwargs.get("rinex") is not None or kwargs.get("log") is not None
+    return any(kwargs.get(name) is not None for name in ("rinex", "log", "plots"))

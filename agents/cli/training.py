@@ -16,11 +16,13 @@ from .options import (
     Environment,
     Faults,
     Option,
+    Plots,
     Rate,
     ResumeTraining,
     Rinex,
     Seed,
     Track,
+    Truth,
     env_kwargs,
     is_real_log,
 )
@@ -50,6 +52,8 @@ def train(
     faults: Faults = None,
     track: Track = None,
     rinex: Rinex = None,
+    plots: Plots = None,
+    truth: Truth = None,
     option: Option = None,
     teacher: Annotated[
         str,
@@ -89,7 +93,7 @@ def train(
     less time for a better result, where episodes carry the truth.
     """
     with complaints():
-        kwargs = env_kwargs(rate, faults, track, rinex, option)
+        kwargs = env_kwargs(rate, faults, track, rinex, option, plots, truth)
         train_agent = load_training()
         if is_real_log(kwargs):  # what would only show at the end
             _check_validation(env, kwargs, seed)

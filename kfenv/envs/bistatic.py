@@ -55,6 +55,7 @@ class BistaticTrackingEnv(TrackingEnv):
       - ``"none"``.
       {other_faults}
 
+    - ``plots``: {plots}
     {options}
 
     ## Version History

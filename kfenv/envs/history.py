@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kfenv.models.model import Sensor
+from kfenv.scenarios.measured import measured_positions
 from kfenv.scenarios.recording import FaultInterval, Recording
 
 Array = NDArray[np.float64]
@@ -100,34 +100,6 @@ class History:
         if self.measured is None or not len(self):
             return np.empty((0, 3))
         return self.measured[: self.now + 1]
-
-
-def measured_positions(sensor: Sensor, measurement: Array) -> Array | None:
-    """Measurements (T, m) as positions (T, 3), NaN where a part of one is missing.
-
-    None for a sensor that measures no position, such as a satellite receiver's
-    pseudoranges: its film has no dots.
-    """
-    names = [channel.name for channel in sensor.channels]
-    if {"pN", "pE", "pD"} <= set(names):
-        north, east, down = (measurement[:, names.index(name)] for name in ("pN", "pE", "pD"))
-        return np.stack([east, north, -down], axis=1)
-    if {"x", "y", "z"} <= set(names):
-        return measurement[:, [names.index(axis) for axis in "xyz"]]
-    if not {"range", "azimuth", "elevation"} <= set(names):
-        return None
-    distance, azimuth, elevation = (
-        measurement[:, names.index(name)] for name in ("range", "azimuth", "elevation")
-    )
-    horizontal = distance * np.cos(elevation)
-    return np.stack(
-        [
-            horizontal * np.sin(azimuth),
-            horizontal * np.cos(azimuth),
-            distance * np.sin(elevation),
-        ],
-        axis=1,
-    )
 
 
 def merged(faults: Sequence[FaultInterval]) -> tuple[FaultInterval, ...]:

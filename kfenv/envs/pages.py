@@ -30,6 +30,7 @@ from kfenv.envs.knobs import (
 )
 from kfenv.envs.observation_page import observation_space
 from kfenv.envs.options import ENGINE, FULL, GAUSSIAN_SUMS, REWARDS, SHORT, Options
+from kfenv.envs.plots_page import plots
 from kfenv.envs.rewards import CAP, worst
 from kfenv.envs.statistics import WINDOWS
 from kfenv.envs.wording import factor, listed, paragraphs, table, wrap
@@ -353,6 +354,6 @@ def vector_arguments(scenario: Any) -> str:
 
 PARAGRAPHS = (
     decisions, info, action_space, observation_space, rewards, random_flight, smooth_flight,
-    initial_deviations, first_decision, episode_end, rates, track_file, radar_position,
+    initial_deviations, first_decision, episode_end, rates, track_file, radar_position, plots,
     other_faults, options, vector_arguments,
 )  # fmt: skip

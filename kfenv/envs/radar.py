@@ -63,6 +63,7 @@ class RadarTrackingEnv(TrackingEnv):
     - ``track``: {track_file}: by default a random window of it, placed at random before the
       radar.
     - ``radar_position``: {radar_position}
+    - ``plots``: {plots}
     - ``cutoff``: period of motion that smoothing the flight halves, s (default 25, or less
       where the aircraft turns too fast for that).
     - ``longest_gap``: between two of its reports that an episode may bridge, s (default
@@ -139,6 +140,7 @@ class RadarValidationEnv(TrackingEnv):
     - ``track``: {track_file}: by default a random window of it, placed at random before the
       radar.
     - ``radar_position``: {radar_position}
+    - ``plots``: {plots}
     - ``cutoff``: period of motion that smoothing the flight halves, s (default 25, or less
       where the aircraft turns too fast for that).
     - ``longest_gap``: between two of its reports that an episode may bridge, s (default

@@ -1,4 +1,4 @@
-"""Named columns of numbers from CSV files."""
+"""Named columns of numbers from CSV files; a column ``t`` may hold times of other forms too."""
 
 from __future__ import annotations
 
@@ -12,16 +12,24 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kfenv.scenarios.clock import seconds
+
 Array = NDArray[np.float64]
 
 
-def read_columns(path: str | PathLike[str], what: str, columns: Sequence[str]) -> list[Array]:
+CLOCK = "t"  # the column of times, see `kfenv.scenarios.clock`
+
+
+def read_columns(
+    path: str | PathLike[str], what: str, columns: Sequence[str], gaps: bool = False
+) -> list[Array]:
     """Read columns by their names in the first line; others are ignored.
 
     Args:
         path: of the file.
         what: the file is, e.g. ``"track"``, for complaints.
         columns: their names.
+        gaps: whether empty cells are NaN, but for times.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -29,7 +37,7 @@ def read_columns(path: str | PathLike[str], what: str, columns: Sequence[str]) -
             the message names the file.
     """
     with _rows(path, what) as rows:
-        return _read(rows, what, columns)
+        return _read(rows, what, columns, gaps)
 
 
 def column_names(path: str | PathLike[str], what: str) -> list[str]:
@@ -61,14 +69,14 @@ def _header(rows) -> list[str]:
     return [name.strip() for name in next(rows, [])]
 
 
-def _read(rows, what: str, columns: Sequence[str]) -> list[Array]:
+def _read(rows, what: str, columns: Sequence[str], gaps: bool) -> list[Array]:
     header = _header(rows)
     for column in columns:
         if column not in header:
             raise ValueError(_missing(what, columns, column, header))
     places = [header.index(column) for column in columns]
     values = [
-        [_number(row, place, header[place], rows.line_num) for place in places]
+        [_number(row, place, header[place], rows.line_num, gaps) for place in places]
         for row in rows
         if row
     ]
@@ -96,9 +104,12 @@ def _is_numeric(text: str) -> bool:
     return True
 
 
-def _number(row: list[str], place: int, column: str, line: int) -> float:
+def _number(row: list[str], place: int, column: str, line: int, gaps: bool) -> float:
     text = row[place] if place < len(row) else ""
+    if gaps and column != CLOCK and not text.strip():
+        return float("nan")
     try:
-        return float(text)
+        return seconds(text) if column == CLOCK else float(text)
     except ValueError:
-        raise ValueError(f"column {column!r} in line {line} is no number: {text!r}.") from None
+        kind = "time (seconds, hh:mm:ss or ISO 8601)" if column == CLOCK else "number"
+        raise ValueError(f"column {column!r} in line {line} is no {kind}: {text!r}.") from None

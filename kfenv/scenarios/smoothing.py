@@ -86,13 +86,13 @@ def too_stiff(time: Array, position: Array, spline: CubicSpline, kept: Mask) -> 
     A late report lies off its neighbours; those of a turn that the cutoff is too long for do not.
     """
     away = np.linalg.norm(position - spline(time), axis=1)
-    off, _ = _off_neighbours(time, position)
+    off, _ = off_neighbours(time, position)
     return float(np.mean(~kept & (np.linalg.norm(off, axis=1) < 0.5 * away)))
 
 
 def _time_error(time: Array, position: Array) -> float:
     """Deviation of the reports' times, s, from how far along each lies off its neighbours."""
-    off, gain = _off_neighbours(time, position)
+    off, gain = off_neighbours(time, position)
     chord = np.gradient(position, axis=0)
     passed = np.gradient(time)
     length = np.maximum(np.linalg.norm(chord, axis=1), 1e-9)
@@ -101,7 +101,7 @@ def _time_error(time: Array, position: Array) -> float:
     return NORMAL * float(np.median(np.abs(seconds[fast]))) if fast.any() else 0.0
 
 
-def _off_neighbours(time: Array, position: Array) -> tuple[Array, Array]:
+def off_neighbours(time: Array, position: Array) -> tuple[Array, Array]:
     """From the cubic through the two reports before and the two after to each report (N, 3), m.
 
     And how much of independent errors adds up in that (N,); NaN at the two first and last.

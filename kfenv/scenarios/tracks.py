@@ -51,6 +51,7 @@ class SmoothTrack:
 
     Attributes:
         origin: of the east-north-up frame: latitude and longitude in degrees, height m.
+        begin: time of that report in the file, s.
         duration: s.
         gaps: (begin, end) of the stretches of more than `longest_gap` without a report, s.
             The spline bridges them with the least bending; `window` avoids them.
@@ -60,6 +61,7 @@ class SmoothTrack:
     """
 
     origin: Site
+    begin: float
     duration: float
     gaps: tuple[tuple[float, float], ...]
     rejected: int
@@ -211,6 +213,7 @@ def smooth_track(
     wide = np.flatnonzero(np.diff(spline.x) > longest_gap)
     return SmoothTrack(
         origin=origin,
+        begin=float(time[kept][0]),
         duration=float(spline.x[-1]),
         gaps=tuple((float(spline.x[i]), float(spline.x[i + 1])) for i in wide),
         rejected=stale + int((~kept).sum()),

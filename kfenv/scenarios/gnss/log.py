@@ -1,8 +1,4 @@
-"""A real log of a GNSS receiver, cut into windows that are Recordings.
-
-A log's time is divided, in its order, into a part to train and tune on, one to validate
-and one to test on, so that no agent is tested on what it was tuned on.
-"""
+"""A real log of a GNSS receiver, cut into windows that are Recordings."""
 
 from __future__ import annotations
 
@@ -16,16 +12,10 @@ from numpy.typing import NDArray
 from kfenv.models.gnss.pseudorange import CHANNELS
 from kfenv.models.gnss.receiver import RATE_NOISE, range_deviation
 from kfenv.scenarios.recording import Recording
+from kfenv.scenarios.windows import PARTS, no_room, withheld
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-
-# Shares of the log's time; "tuning" is for training too
-PARTS = {"tuning": (0.0, 0.3), "validation": (0.3, 0.5), "test": (0.5, 1.0)}
-
-# Without a truth the filter misses the last of every six stretches of 10 s (less in a window
-# below a minute), or of an epoch each
-WITHHELD, EVERY = 10.0, 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +82,7 @@ class GnssLog:
             if not chosen or self.row[epoch] > self.row[chosen[-1]] + round(duration / self.step):
                 chosen.append(int(epoch))
         if len(chosen) < 2:
-            raise self._too_short(duration, part, "two windows")
+            raise no_room(self.path, self.duration, part, duration, "two windows")
         return np.array(chosen)
 
     def recording(self, starts: Indices, duration: float) -> Recording:
@@ -115,9 +105,9 @@ class GnssLog:
             inputs[episode, rows] = self.sensor_inputs[inside]
         scored = self.known[instants]
         if not self.told:
-            withheld = self._withheld(time)
-            measurement[:, withheld] = np.nan
-            scored &= withheld
+            missed = self._withheld(time)
+            measurement[:, missed] = np.nan
+            scored &= missed
         measurement[:, 0] = np.nan
         return Recording(
             time, measurement, noise, self.mean[starts], self.factor[starts],
@@ -127,8 +117,7 @@ class GnssLog:
 
     def _withheld(self, time: Array) -> NDArray[np.bool_]:
         """Instants of a window at which the filter gets nothing, so that it can be judged."""
-        stretch = max(min(WITHHELD, time[-1] / EVERY), self.steps_per_epoch * self.step)
-        return np.floor(time / stretch + 1e-6) % EVERY == EVERY - 1
+        return withheld(time, self.steps_per_epoch * self.step)
 
     def _possible(self, duration: float, part: str) -> Indices:
         """Epochs at which windows may begin that lie, with the epoch before, in a part.
@@ -141,7 +130,7 @@ class GnssLog:
         # Beside a gap the last epoch of a part may come earlier
         inside = (self.row[self.start - 1] >= low) & (last <= high)
         if not inside.any():
-            raise self._too_short(duration, part, "a window")
+            raise no_room(self.path, self.duration, part, duration, "a window")
         judged = self._judged(self.start[inside], self.time(duration))
         if not judged.any():
             raise ValueError(
@@ -157,13 +146,6 @@ class GnssLog:
         for offset in np.flatnonzero(counts):
             judged |= self.known[self.row[starts] + offset]
         return judged
-
-    def _too_short(self, duration: float, part: str, what: str) -> ValueError:
-        low, high = PARTS[part]
-        return ValueError(
-            f"{self.path}: the part for {part} ({100 * (high - low):.0f} % of {self.duration:g} s) "
-            f"has no room for {what} of {duration:g} s; give a longer log or a shorter duration."
-        )
 
 
 def idle_noise() -> Array:

@@ -17,10 +17,11 @@ from kfenv.models.kinematics import ACCELERATION, POSITION, VELOCITY
 from kfenv.scenarios.gnss.calibration import calibrated
 from kfenv.scenarios.gnss.ephemeris import read_navigation
 from kfenv.scenarios.gnss.fix import Fixes, Signals, View, clock_bias, fix, signals, view
-from kfenv.scenarios.gnss.log import PARTS, GnssLog, idle_noise
+from kfenv.scenarios.gnss.log import GnssLog, idle_noise
 from kfenv.scenarios.gnss.rinex import Observations, read_observations
 from kfenv.scenarios.gnss.satellite_channels import assign_channels, by_channel
 from kfenv.scenarios.gnss.truth import true_path
+from kfenv.scenarios.windows import PARTS
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

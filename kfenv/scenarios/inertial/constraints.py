@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kfenv.models.vehicle_constraints import CHANNELS, NON_HOLONOMIC, ZERO_RATE
-from kfenv.scenarios.inertial.log import PARTS, InertialLog
+from kfenv.scenarios.inertial.log import InertialLog
+from kfenv.scenarios.windows import PARTS
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

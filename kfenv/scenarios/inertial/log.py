@@ -1,7 +1,6 @@
 """Real inertial and GNSS logs as episodes: resampled, aligned, cut into windows (SPEC 3.5, 4.4).
 
-A log's time is divided, in its order, into a part to train and tune on, one to validate
-and one to test on. Where no truth is known, the fixes that faults withhold from the filter
+Where no truth is known, the fixes that faults withhold from the filter
 are the yardstick: only there do errors count.
 """
 
@@ -16,12 +15,10 @@ from numpy.typing import NDArray
 from kfenv.models.strapdown import GRAVITY
 from kfenv.models.strapdown_biases import local_gravity
 from kfenv.scenarios.inertial.files import FixLog, ImuLog
+from kfenv.scenarios.windows import PARTS
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-
-# Shares of the log's time; "tuning" is for training too
-PARTS = {"tuning": (0.0, 0.3), "validation": (0.3, 0.5), "test": (0.5, 1.0)}
 
 CHANNELS = 6
 ALIGNMENT = 1.0  # s of samples before and after a fix that give the first attitude

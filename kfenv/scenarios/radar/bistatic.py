@@ -16,7 +16,7 @@ from kfenv.models.constant_acceleration import constant_acceleration
 from kfenv.models.model import Motion, Sensor
 from kfenv.models.position import position
 from kfenv.scenarios.faults import Draft, Fault, Glint, Jamming, NoiseMisreport, SignalLoss
-from kfenv.scenarios.scenario import TrackingScenario
+from kfenv.scenarios.radar.plotted import PlotFiles, Plotted
 from kfenv.scenarios.trajectories import drawn_trajectory
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ VARIANCE = (10.0, 8.0, 5.0)  # m^2, of x, y and z
 
 
 @dataclass(frozen=True)
-class BistaticTracking(TrackingScenario):
+class BistaticTracking(Plotted):
     """The scenario of ``kfenv/BistaticTracking-v0``.
 
     The duration is by default that of the published case, or that of a training episode.
@@ -38,6 +38,7 @@ class BistaticTracking(TrackingScenario):
     duration: float | None = None
     rate: float = 2.0
     faults: str | Mapping[str, Mapping[str, object]] | Sequence[Fault] = "random"
+    plots: PlotFiles | None = None
 
     name: ClassVar[str] = "BistaticTracking"
     initial_deviation: ClassVar[tuple[float, ...]] = (sqrt(0.1), sqrt(0.1), sqrt(0.5))
@@ -53,7 +54,9 @@ class BistaticTracking(TrackingScenario):
         if self.duration is None:
             duration = PAPER_DURATION if self.faults == "paper" else DURATION
             object.__setattr__(self, "duration", duration)
+        self._settle_plots()
         super().__post_init__()
+        self._check_plots()
 
     @cached_property
     def motion(self) -> Motion:

@@ -18,7 +18,7 @@ from kfenv.models.phased_array import PhasedArray, rain_transmission
 from kfenv.models.radar import radar
 from kfenv.scenarios import tracks
 from kfenv.scenarios.faults import Draft, Range, check_range, check_start
-from kfenv.scenarios.scenario import TrackingScenario
+from kfenv.scenarios.radar.plotted import PlotFiles, Plotted
 from kfenv.scenarios.tracks import LONGEST_GAP, check_track
 from kfenv.scenarios.trajectories import paper_trajectory
 
@@ -106,10 +106,11 @@ class SelfScreeningJammer:
 
 
 @dataclass(frozen=True)
-class RadarScenario(TrackingScenario):
+class RadarScenario(Plotted):
     """A target seen by a radar at the origin; see the environments' pages for the fields."""
 
     track: str | None = None
+    plots: PlotFiles | None = None
     radar_position: tuple[float, float, float] | None = None
     cutoff: float | None = None
     longest_gap: float = LONGEST_GAP
@@ -118,9 +119,12 @@ class RadarScenario(TrackingScenario):
     circular: ClassVar[tuple[int, ...]] = (1,)  # the azimuth
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        check_track(self, ("radar_position", "cutoff", "longest_gap", "altitude_offset"))
         self._check_radar_position()
+        self._settle_plots()
+        super().__post_init__()
+        self._check_plots()
+        if self.plots is None:
+            check_track(self, ("radar_position", "cutoff", "longest_gap", "altitude_offset"))
         if self.track is not None:
             self._flown(np.random.default_rng(0))  # complains
 

@@ -60,7 +60,7 @@ class RadarTracking(RadarScenario):
             object.__setattr__(self, "duration", duration)
         super().__post_init__()
         style_of(self.flights)  # complains
-        at_random = self.track is None and self.faults != "paper"
+        at_random = self.track is None and self.plots is None and self.faults != "paper"
         if not at_random and self.flights != "manoeuvring":
             raise ValueError(
                 "flights says how random flights are flown: leave it out with a track or "

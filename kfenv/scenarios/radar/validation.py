@@ -51,18 +51,12 @@ class RadarValidation(RadarScenario):
     }
 
     def __post_init__(self) -> None:
+        self._check_deviation()
         super().__post_init__()
-        if self.noise_deviation is None and self.rate not in PUBLISHED_NOISE:
+        if self.plots is None and self.noise_deviation is None and self.rate not in PUBLISHED_NOISE:
             raise ValueError(
                 f"No noise is published for {self.rate:g} Hz: use rate=10 or rate=2, or give "
                 "noise_deviation=(metres, degrees, degrees)."
-            )
-        deviation = self.deviation_at_boundary
-        triple = isinstance(deviation, Sequence | np.ndarray) and len(deviation) == 3
-        if not triple or not all(is_number(value) and value > 0.0 for value in deviation):
-            raise ValueError(
-                "noise_deviation must hold three positive numbers (range in m, azimuth and "
-                f"elevation in degrees), got {self.noise_deviation!r}."
             )
         for fault in resolve_faults(self.faults, self.presets, self.known_faults):
             if isinstance(fault, Rain | SelfScreeningJammer):
@@ -70,6 +64,17 @@ class RadarValidation(RadarScenario):
                     f"{fault!r} acts through the radar equation, which fixed noise has not: "
                     "leave it out, or use RadarTracking."
                 )
+
+    def _check_deviation(self) -> None:
+        deviation = self.noise_deviation
+        if deviation is None:
+            return
+        triple = isinstance(deviation, Sequence | np.ndarray) and len(deviation) == 3
+        if not triple or not all(is_number(value) and value > 0.0 for value in deviation):
+            raise ValueError(
+                "noise_deviation must hold three positive numbers (range in m, azimuth and "
+                f"elevation in degrees), got {self.noise_deviation!r}."
+            )
 
     @property
     def deviation_at_boundary(self) -> tuple[float, float, float]:
