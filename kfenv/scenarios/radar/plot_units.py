@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,34 +80,50 @@ def _check_degrees(path: str, sensor: Sensor, time: Array, value: Array) -> None
         return
     turned = value.copy()
     turned[:, angles] = degrees  # if the numbers were radians
-    told, other = _speed(sensor, time, value), _speed(sensor, time, turned)
-    alone = _speed_of_ranges(time, value[:, names.index("range")])
+    distance = value[:, names.index("range")]
+    told, other = (_across(sensor, time, reading, distance) for reading in (value, turned))
+    alone = _across_by_ranges(time, distance)
     if max(alone, other) <= ALIKE * min(alone, other) and told < alone / SLOWER:
         columns = " and ".join(repr(f"{names[i]}_deg") for i in angles)
         raise ValueError(
-            f"{path}: the ranges are those of a target at {alone:.0f} m/s, and {columns} as "
-            f"radians agree ({other:.0f} m/s), as degrees do not ({told:.0f} m/s); multiply them "
-            "by 180/pi."
+            f"{path}: the ranges are those of a target that moves across at {alone:.0f} m/s; "
+            f"{columns} agree as radians ({other:.0f} m/s), not as degrees ({told:.0f} m/s): "
+            "multiply them by 180/pi."
         )
 
 
 def _speed(sensor: Sensor, time: Array, value: Array) -> float:
     """Median over pairs of plots some seconds apart."""
+    first, second = _pairs(time)
     position = measured_positions(sensor, value)
-    span = min(SPAN, 0.25 * (time[-1] - time[0]))
-    first = np.flatnonzero(time <= time[-1] - span)
-    second = np.searchsorted(time, time[first] + span - 1e-9)
     moved = np.linalg.norm(position[second] - position[first], axis=1)
     return float(np.median(moved / (time[second] - time[first])))
 
 
-def _speed_of_ranges(time: Array, distance: Array) -> float:
-    """Median over stretches of the speed that a parabola through r^2 tells."""
-    count = max(1, int((time[-1] - time[0]) / STRETCH))
-    speeds = []
-    for begin in time[0] + np.arange(count) * (time[-1] - time[0]) / count:
-        inside = (time >= begin) & (time <= begin + (time[-1] - time[0]) / count)
+def _across(sensor: Sensor, time: Array, value: Array, distance: Array) -> float:
+    """The same of the motion across the line of sight."""
+    first, second = _pairs(time)
+    position = measured_positions(sensor, value)
+    moved = np.sum((position[second] - position[first]) ** 2, axis=1)
+    across = np.sqrt(np.maximum(moved - (distance[second] - distance[first]) ** 2, 0.0))
+    return float(np.median(across / (time[second] - time[first])))
+
+
+def _pairs(time: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    span = min(SPAN, 0.25 * (time[-1] - time[0]))
+    first = np.flatnonzero(time <= time[-1] - span)
+    return first, np.searchsorted(time, time[first] + span - 1e-9)
+
+
+def _across_by_ranges(time: Array, distance: Array) -> float:
+    """What parabolas through r^2 and r tell of it, the median over stretches."""
+    squares = []
+    edges = np.linspace(time[0], time[-1], max(1, int((time[-1] - time[0]) / STRETCH)) + 1)
+    for begin, end in pairwise(edges):
+        inside = (time >= begin) & (time <= end)
         if inside.sum() > 3:
             since = time[inside] - time[inside].mean()
-            speeds.append(np.polynomial.polynomial.polyfit(since, distance[inside] ** 2, 2)[2])
-    return float(np.sqrt(np.maximum(np.median(speeds), 0.0))) if speeds else 0.0
+            speed = np.polynomial.polynomial.polyfit(since, distance[inside] ** 2, 2)[2]
+            rate = np.polynomial.polynomial.polyfit(since, distance[inside], 2)
+            squares.append(speed - rate[1] ** 2 - 4.0 * rate[2] ** 2 * np.mean(since**2))
+    return float(np.sqrt(np.maximum(np.median(squares), 0.0))) if squares else 0.0

@@ -109,14 +109,15 @@ def _columns(header: Sequence[str], measured: Sequence[str], spread: Sequence[st
     needed, known = (CLOCK, *measured), (CLOCK, *measured, *spread)
     if not any(name in header for name in needed):
         return
-    stems = [name.rsplit("_", 1)[0] for name in measured] + list(OTHERS)
+    stems, meant = [name.rsplit("_", 1)[0] for name in measured] + list(OTHERS), []
     for name in header:
         looks_like = any(stem in name.lower() for stem in stems if len(stem) > 1)
         if name not in known and looks_like:
             close = get_close_matches(name.lower(), known, n=1, cutoff=0.3)
+            meant += close
             hint = f"; rename it {close[0]!r} and give it in that unit, if it is that" * bool(close)
             yield f"column {name!r} is unknown{hint}, or give it a name of another kind."
-    missing = [name for name in needed if name not in header]
+    missing = [name for name in needed if name not in header and name not in meant]
     if missing:
         yield f"column {', '.join(map(repr, missing))} missing; found {', '.join(header)}."
     for name in {name for name in header if header.count(name) > 1}:
