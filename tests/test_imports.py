@@ -29,6 +29,7 @@ MAY_IMPORT = {
     "kfenv.agents.contest": AGENTS | {"kfenv.agents.contestants"},
     "kfenv.agents.learning": AGENTS | {"kfenv.agents.contestants", "kfenv.agents.contest"},
     "kfenv.agents.deployment": AGENTS | {"kfenv.agents.contestants", "kfenv.agents.contest"},
+    "kfenv.agents.running": AGENTS | {"kfenv.agents.contestants", "kfenv.agents.contest"},
     "kfenv.agents.reproduction": AGENTS,
     "kfenv.agents.tuning": AGENTS | {"kfenv.agents.contestants", "kfenv.agents.contest"},
 }

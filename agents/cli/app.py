@@ -15,6 +15,7 @@ from .inspect import inspect
 from .limit import limit
 from .outages import outages
 from .reproduction import claims, reproduce
+from .run import run
 from .speed import bench
 from .suites import leaderboard, suite, suites
 from .training import train
@@ -31,6 +32,7 @@ FAMILY = f"Fixed filters of the family: {', '.join((*DESIGNS, *ADAPTIVE_DESIGNS)
 app.command()(envs)
 app.command()(train)
 app.command(epilog=FAMILY)(evaluate)
+app.command()(run)
 app.command()(limit)
 app.command()(inspect)
 app.command()(outages)

@@ -54,6 +54,13 @@ Truth = Annotated[
         "takes (then --option radar_position=[LAT,LON,HEIGHT] too)."
     ),
 ]
+Log = Annotated[
+    tuple[Path, Path] | None,
+    typer.Option(
+        metavar="IMU GNSS",
+        help="A real inertial log: samples and fixes, CSV (fixes also RTKLIB's .pos).",
+    ),
+]
 Option = Annotated[
     list[str] | None,
     typer.Option("--option", help="KEY=VALUE, any other keyword of ENV, value in JSON."),
@@ -106,6 +113,7 @@ def workers(executor: str, processes: int) -> Workers:
 def env_kwargs(
     rate: float | None, faults: str | None, track: Path | None, rinex: tuple[Path, Path] | None,
     option: list[str] | None, plots: Path | None = None, truth: Path | None = None,
+    log: tuple[Path, Path] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """The environment's keywords; complains of an option that is no KEY=VALUE."""
     kwargs: dict[str, Any] = {}
@@ -122,6 +130,8 @@ def env_kwargs(
         kwargs["track"] = str(track.resolve())
     if rinex is not None:
         kwargs["rinex"] = [str(path.resolve()) for path in rinex]
+    if log is not None:
+        kwargs["log"] = [str(path.resolve()) for path in log]
     if truth is not None and plots is None:
         raise ValueError("--truth goes with --plots: give the plots too.")
     if plots is not None:

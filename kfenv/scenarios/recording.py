@@ -167,6 +167,21 @@ class Recording:
             )
 
 
+class Whole(NamedTuple):
+    """All of a real log as one episode, from where a filter can begin; nothing is withheld.
+
+    Attributes:
+        recording: of the one episode; it has a truth where one was told.
+        begin: its first instant by the log's clock, s.
+        fixes: (T, 3) positions solved from the measurements, in the state's frame, NaN where
+            there is none; None where the sensor's channels tell them.
+    """
+
+    recording: Recording
+    begin: float
+    fixes: Array | None = None
+
+
 def stack(recordings: Sequence[Recording]) -> Recording:
     """Join recordings over the same times into one batch.
 

@@ -17,7 +17,7 @@ from kfenv.models.model import Motion, Sensor
 from kfenv.models.namespaces import batch
 from kfenv.models.yardstick import Yardstick
 from kfenv.scenarios.faults import FAULTS, Draft, Fault, resolve_faults
-from kfenv.scenarios.recording import Recording, stack
+from kfenv.scenarios.recording import Recording, Whole, stack
 
 Array = NDArray[np.float64]
 
@@ -135,6 +135,17 @@ class TrackingScenario(ABC):
 
     def recorded(self, split: str, episodes: int) -> Recording | None:
         """At most so many episodes of a real log that are kept for a split; None if drawn."""
+        return None
+
+    def whole(self) -> Whole | None:
+        """All of a real log as one episode; None where episodes are drawn."""
+        return None
+
+    def geodetic(self, position: Array) -> Array | None:
+        """Latitude, longitude (deg) and height (m) of positions (T, 3) of the state, as (T, 3).
+
+        None where the state's frame has no place on Earth. A log's frame is that of `whole`.
+        """
         return None
 
     def episode(self, rng: Generator) -> Recording:

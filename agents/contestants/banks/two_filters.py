@@ -69,7 +69,7 @@ class HearingBank(Bank):
         self, mixed: Mixed, inputs: Array, dt: Array, status: NDArray[np.int64]
     ) -> Prediction:
         """See `Bank.predict`."""
-        self._passed = dt
+        self._passed = np.repeat(dt, len(self.modes))
         return super().predict(mixed, inputs, dt, status)
 
     def update(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.random import Generator
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from kfenv.models.gnss.pseudorange import CHANNELS
 from kfenv.models.gnss.receiver import RATE_NOISE, range_deviation
-from kfenv.scenarios.recording import Recording
+from kfenv.models.kinematics import POSITION
+from kfenv.scenarios.recording import Recording, Whole
 from kfenv.scenarios.windows import PARTS, no_room, withheld
 
 Array = NDArray[np.float64]
@@ -24,6 +25,7 @@ class GnssLog:
 
     Attributes:
         path: of the observation file.
+        began: its first epoch by the receiver's clock, GPS seconds since 1980.
         step: between two instants, s; instants without an epoch have no measurement.
         row: (E,) the instant of each epoch, increasing from 0.
         measurement, noise: (E, 24) as `kfenv.models.gnss.pseudorange` expects them.
@@ -38,6 +40,7 @@ class GnssLog:
     """
 
     path: str
+    began: float
     step: float
     row: Indices
     measurement: Array
@@ -85,11 +88,12 @@ class GnssLog:
             raise no_room(self.path, self.duration, part, duration, "two windows")
         return np.array(chosen)
 
-    def recording(self, starts: Indices, duration: float) -> Recording:
+    def recording(self, starts: Indices, duration: float, missing: bool = True) -> Recording:
         """The windows that begin at the given epochs.
 
         The first instant's measurement is spent on the initial state. Where no truth was told
-        fixes are withheld at the last of every six stretches, and the truth counts only there.
+        fixes are withheld at the last of every six stretches, and the truth counts only there;
+        not so unless any shall be missing.
         """
         time = self.time(duration)
         shape = (len(starts), len(time))
@@ -104,7 +108,7 @@ class GnssLog:
             noise[episode, rows] = self.noise[inside]
             inputs[episode, rows] = self.sensor_inputs[inside]
         scored = self.known[instants]
-        if not self.told:
+        if not self.told and missing:
             missed = self._withheld(time)
             measurement[:, missed] = np.nan
             scored &= missed
@@ -114,6 +118,17 @@ class GnssLog:
             np.empty((*shape, 0)), inputs, self.truth[instants],
             scored=None if scored.all() else scored,
         )  # fmt: skip
+
+    def whole(self) -> Whole:
+        """All epochs from the first that tells a state."""
+        start, fixes = self.start[:1], None
+        row = self.row[start[0]]
+        recording = self.recording(start, (self.row[-1] - row) * self.step, missing=False)
+        if not self.told:
+            known = self.known[row:, None]
+            fixes = np.where(known, recording.truth[0][:, POSITION], np.nan)
+            recording = replace(recording, truth=None, scored=None)
+        return Whole(recording, self.began + row * self.step, fixes)
 
     def _withheld(self, time: Array) -> NDArray[np.bool_]:
         """Instants of a window at which the filter gets nothing, so that it can be judged."""

@@ -88,6 +88,7 @@ def read_log(
         known[row] |= np.isfinite(fixes.bias)
     return GnssLog(
         path=str(observations),
+        began=float(observed.time[0]),
         step=step,
         row=row,
         measurement=_measurement(raw, seen, channel, shift),

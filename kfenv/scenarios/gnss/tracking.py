@@ -41,7 +41,7 @@ from kfenv.scenarios.gnss.faults import (
 from kfenv.scenarios.gnss.log import GnssLog
 from kfenv.scenarios.gnss.reading import log_of
 from kfenv.scenarios.gnss.satellite_channels import assign_channels, by_channel
-from kfenv.scenarios.recording import Recording
+from kfenv.scenarios.recording import Recording, Whole
 from kfenv.scenarios.scenario import TrackingScenario
 from kfenv.scenarios.tracks import LONGEST_GAP, SmoothTrack, check_track, from_radar
 from kfenv.scenarios.trajectories import MAX_DURATION, paper_trajectory, random_trajectory
@@ -259,6 +259,14 @@ class GnssTracking(TrackingScenario):
             return None
         return self.log.recording(self.log.starts(self.duration, split)[:episodes], self.duration)
 
+    def whole(self) -> Whole | None:
+        """All epochs of a log from the first that tells a state."""
+        return None if self.log is None else self.log.whole()
+
+    def geodetic(self, position: Array) -> Array:
+        """From the earth-fixed frame."""
+        return np.stack(pymap3d.ecef2geodetic(*position.T), axis=-1)
+
     @cached_property
     def _constellation(self) -> Constellation:
         if self.almanac is None:
@@ -358,8 +366,7 @@ class GnssTracking(TrackingScenario):
     def local_frame(self, position: Array) -> tuple[Array, Array]:
         """Origin (3,) and rotation (3, 3) from earth-fixed to east, north, up about a position."""
         latitude, longitude, _ = geodetic(position)
-        axes = pymap3d.uvw2enu(*np.eye(3), latitude, longitude, deg=False)
-        return position, np.array(axes)
+        return position, np.array(pymap3d.uvw2enu(*np.eye(3), latitude, longitude, deg=False))
 
 
 def _earth_fixed(local: Array, place: tuple[float, float, float]) -> Array:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property
 from math import radians, sqrt
 from typing import ClassVar
 
@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from kfenv.checks import is_number
 from kfenv.models.model import Motion, Sensor
 from kfenv.models.navigation_fix import navigation_fix
-from kfenv.models.strapdown import GRAVITY, strapdown
-from kfenv.models.strapdown_biases import strapdown_with_biases
+from kfenv.models.strapdown import GRAVITY
 from kfenv.models.vehicle_constraints import CHANNELS, with_constraints
 from kfenv.scenarios.faults import (
     FAULTS,
@@ -44,10 +43,11 @@ from kfenv.scenarios.inertial.faults import (
 )
 from kfenv.scenarios.inertial.flights import exact_samples, paper_flight, random_flight
 from kfenv.scenarios.inertial.log import InertialLog
+from kfenv.scenarios.inertial.motion import motion_of
 from kfenv.scenarios.inertial.reading import check_paths, read_log
 from kfenv.scenarios.inertial.teaching import Lessons, lessons
 from kfenv.scenarios.inertial.units import markov, of_unit
-from kfenv.scenarios.recording import Recording, stack
+from kfenv.scenarios.recording import Recording, Whole, stack
 from kfenv.scenarios.scenario import TrackingScenario
 from kfenv.scenarios.trajectories import MAX_DURATION
 
@@ -170,9 +170,9 @@ class InsGnss(TrackingScenario):
     def motion(self) -> Motion:
         """Strapdown mechanisation driven by the samples, with or without their biases."""
         if not self.biases:
-            return _motion(tuple(self.process_noise))
+            return motion_of(tuple(self.process_noise))
         drift, time = tuple(self.bias_drift), tuple(self.bias_time)
-        return _motion(tuple(self.process_noise), drift, time, bool(self.earth))
+        return motion_of(tuple(self.process_noise), drift, time, bool(self.earth))
 
     @cached_property
     def sensor(self) -> Sensor:
@@ -290,15 +290,35 @@ class InsGnss(TrackingScenario):
         faults = self.presets["outages"] if self._misses_fixes else None
         return self._replay(rng.choice(self._log.starts(self.duration, "tuning")), rng, faults)
 
+    def whole(self) -> Whole | None:
+        """All of a log from the first fix after which the vehicle moved."""
+        if self.log is None:
+            return None
+        log, start = self._log, self._log.first_moving
+        begin = log.row[start]
+        time = np.arange(len(log.time) - begin) / self.rate
+        recording = self._replay(start, np.random.default_rng(0), (), time)
+        if log.truth is None:
+            recording = replace(recording, truth=None, scored=None)
+        return Whole(recording, float(log.time[begin]))
+
+    def geodetic(self, position: Array) -> Array | None:
+        """North, east and down of the first fix of a log."""
+        if self.log is None:
+            return None
+        return self._log.geodetic(self._log.first_moving, position)
+
     def _replay(
-        self, start: int, rng: Generator, faults: Sequence[Fault] | None = None
-    ) -> Recording:
+        self, start: int, rng: Generator, faults: Sequence[Fault] | None = None,
+        time: Array | None = None,
+    ) -> Recording:  # fmt: skip
         """A window of the log; faults that raise the noise add what is missing to it."""
-        window = self._log.window(start, self.duration)
+        time = self.time if time is None else time
+        window = self._log.window(start, time[-1])
         inputs = self._log.motion_inputs(window.rows, start, len(self.motion.inputs))
         draft = Draft.clean(
-            self.time, window.fix.shape[1], exact=window.fix, motion_inputs=inputs,
-            sensor_inputs=np.empty((len(self.time), 0)),
+            time, window.fix.shape[1], exact=window.fix, motion_inputs=inputs,
+            sensor_inputs=np.empty((len(time), 0)),
         )  # fmt: skip
         draft.available[:] = window.arrived[:, None]
         if faults is None:
@@ -310,11 +330,11 @@ class InsGnss(TrackingScenario):
         measurement[~draft.available] = np.nan
         withheld = window.arrived & ~draft.available.any(axis=1)
         of_constraints = pseudo_measurements(self._log, window.rows, self._constraints)
-        same = np.tile(self._constraint_deviations, (len(self.time), 1))
+        same = np.tile(self._constraint_deviations, (len(time), 1))
         mean, factor = self._lessons.at(start)
-        unknown = np.zeros((len(self.time), len(mean) - window.truth.shape[1]))
+        unknown = np.zeros((len(time), len(mean) - window.truth.shape[1]))
         return Recording(
-            time=self.time,
+            time=time,
             measurement=np.hstack([measurement, of_constraints])[None],
             noise=np.hstack([window.deviation * draft.told_factor, same])[None],
             mean=mean[None],
@@ -372,18 +392,3 @@ class InsGnss(TrackingScenario):
     def _wandering(self, rng: Generator) -> Array:
         unit = markov(rng, len(self.time), 1.0 / self.rate, INSTABILITY_TIME)
         return of_unit(self.imu_instability) * unit
-
-
-@lru_cache(maxsize=16)
-def _motion(
-    process_noise: tuple[float, float, float],
-    drift: tuple[float, float] | None = None,
-    time: tuple[float, float] | None = None,
-    earth: bool = False,
-) -> Motion:
-    """One object for equal parameters, so that what is made for it is found again."""
-    position, velocity, attitude = process_noise
-    process = position, velocity, radians(attitude)
-    if drift is None or time is None:
-        return strapdown(process)
-    return strapdown_with_biases(process, (drift[0], radians(drift[1])), time, earth)

@@ -192,6 +192,19 @@ class InertialLog:
         position = north, east, origin[2] - log.place[rows, 2]
         return np.hstack([np.stack(position, axis=1), log.velocity[rows]])
 
+    def geodetic(self, place: int, position: Array) -> Array:
+        """Latitude, longitude (deg) and height (T, 3) of positions (T, 3) in a fix's frame.
+
+        Args:
+            place: in `used`, of the fix.
+            position: north, east and down of it, m.
+        """
+        import pymap3d
+
+        origin = self.fixes.place[self.used[place]]
+        latitude, longitude, _ = pymap3d.ned2geodetic(*position.T, *origin)
+        return np.stack([latitude, longitude, origin[2] - position[:, 2]], axis=-1)
+
     def _track(self, time: Array, origin: Array) -> Array:
         """States (T, 9) between the true places, or the fixes: cubic, by their velocities."""
         from scipy.interpolate import CubicHermiteSpline

@@ -28,9 +28,11 @@ Mask = NDArray[np.bool_]
 
 MAX_STEP = 1.0  # s: the longest that the motion models take
 MAX_GAP = 60.0  # s without a plot
-FIRST, LEARNT = 3, 5.0  # plots at least, and s of them, that tell where a window begins
-FASTEST, HARDEST = 300.0, 10.0  # m/s and m/s^2, of a target that nothing is known of, 1 sigma
+FIRST, LEARNT = 5, 5.0  # plots at least, and s of them, that tell where a window begins
+FASTEST, HARDEST = 300.0, 5.0  # m/s and m/s^2, of a target that nothing is known of, 1 sigma
 JERK = 10.0  # m^2/s^5: how fast older plots lose their word on that
+PASSES, OUTLYING = 5, 3.0  # of the fit, and deviations from which on a plot counts less
+USUAL = 1.538  # median length of three normal numbers
 NORMAL = 1.4826  # deviation over median of the absolute value
 STATES = 9
 
@@ -101,7 +103,7 @@ class PlotLog:
         """The windows of so many instants that begin at the given ones.
 
         Args:
-            starts: of `plots`, the third or a later one.
+            starts: of `plots`, with `FIRST` - 1 of these before.
             steps: T.
             missing: whether plots are withheld where no truth was told, see
                 `kfenv.scenarios.windows`; the truth then counts only there.
@@ -126,27 +128,24 @@ class PlotLog:
         """Mean (9,) and factor (9, 9) of the state at an instant, from the plots up to it.
 
         Least squares of a motion with constant acceleration, of which only the order of
-        magnitude is known; the target may have left it by white jerk meanwhile.
+        magnitude is known; the target may have left it by white jerk meanwhile. Plots that lie
+        further off than their deviations say weigh less, all of them or the odd one.
         """
-        last = int(np.searchsorted(self.plots, instant, side="right"))
-        used = self.plots[:last]
+        used = self.plots[: int(np.searchsorted(self.plots, instant, side="right"))]
         recent = used[self.time[used] >= self.time[instant] - LEARNT]
         used = recent if len(recent) >= FIRST else used[-FIRST:]
-        since = self.time[used] - self.time[instant]
         origin = self.position[used[-1]]
-        rows, sides = _prior()
-        for t, position, spread in zip(since, self.position[used], self.spread[used], strict=True):
-            covariance = spread.T @ spread + JERK * abs(t) ** 5 / 20.0 * np.eye(3)
-            root = np.linalg.cholesky(covariance)
-            along = np.kron(np.eye(3), [1.0, t, 0.5 * t * t])
-            whitened = np.linalg.solve(root, np.column_stack([along, position - origin]))
-            rows.append(whitened[:, :STATES])
-            sides.append(whitened[:, STATES])
-        q, r = np.linalg.qr(np.vstack(rows))
-        solved = np.linalg.solve(r, np.column_stack([q.T @ np.concatenate(sides), np.eye(STATES)]))
-        mean, root = solved[:, 0], solved[:, 1:]
+        rows, sides = _whitened(
+            self.time[used] - self.time[instant], self.position[used] - origin, self.spread[used]
+        )
+        less = np.ones(len(used))
+        for _ in range(PASSES):
+            mean, factor = _solved(rows / less[:, None, None], sides / less[:, None])
+            off = np.linalg.norm(rows @ mean - sides, axis=1)
+            usual = max(1.0, float(np.median(off)) / USUAL)
+            less = usual * np.maximum(1.0, off / (usual * OUTLYING))
         mean[[0, 3, 6]] += origin
-        return mean, np.linalg.cholesky(root @ root.T)
+        return mean, factor
 
     @property
     def _interval(self) -> float:
@@ -185,13 +184,26 @@ def _possible(log: PlotLog, duration: float, part: str) -> Indices:
     return start[inside][judged]
 
 
-def _prior() -> tuple[list[Array], list[Array]]:
-    """Rows and right sides that say how fast and hard targets move."""
-    velocity, acceleration = [1, 4, 7], [2, 5, 8]
-    rows = np.zeros((6, STATES))
-    rows[range(3), velocity] = 1.0 / FASTEST
-    rows[range(3, 6), acceleration] = 1.0 / HARDEST
-    return [rows], [np.zeros(6)]
+def _whitened(since: Array, position: Array, spread: Array) -> tuple[Array, Array]:
+    """Rows (k, 3, 9) and right sides (k, 3) of plots at times (k,), of unit covariance each."""
+    along = np.stack([np.ones_like(since), since, 0.5 * since**2], axis=1)
+    rows = np.einsum("ij,kl->kijl", np.eye(3), along).reshape(len(since), 3, STATES)
+    left = JERK * np.abs(since) ** 5 / 20.0
+    covariance = spread.swapaxes(1, 2) @ spread + left[:, None, None] * np.eye(3)
+    both = np.concatenate([rows, position[:, :, None]], axis=2)
+    both = np.linalg.solve(np.linalg.cholesky(covariance), both)
+    return both[..., :STATES], both[..., STATES]
+
+
+def _solved(rows: Array, sides: Array) -> tuple[Array, Array]:
+    """Mean (9,) and lower factor (9, 9) by these rows, and by how fast and hard targets move."""
+    known = np.zeros((6, STATES))
+    known[range(3), [1, 4, 7]], known[range(3, 6), [2, 5, 8]] = 1.0 / FASTEST, 1.0 / HARDEST
+    q, r = np.linalg.qr(np.vstack([known, rows.reshape(-1, STATES)]))
+    right = q.T @ np.concatenate([np.zeros(6), sides.ravel()])
+    solved = np.linalg.solve(r, np.column_stack([right, np.eye(STATES)]))
+    root = solved[:, 1:]
+    return solved[:, 0].copy(), np.linalg.cholesky(root @ root.T)
 
 
 def make_log(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import lru_cache
 from os import PathLike
 from pathlib import Path
@@ -14,10 +14,16 @@ from numpy.typing import NDArray
 
 from kfenv.checks import is_number
 from kfenv.models.model import Sensor
-from kfenv.scenarios.radar.plot_log import PlotLog, instants_of, make_log, measured_noise
+from kfenv.scenarios.radar.plot_log import (
+    FIRST,
+    PlotLog,
+    instants_of,
+    make_log,
+    measured_noise,
+)
 from kfenv.scenarios.radar.plot_truth import check_truth, true_states
 from kfenv.scenarios.radar.plots import Plots, column, read_plots
-from kfenv.scenarios.recording import Recording
+from kfenv.scenarios.recording import Recording, Whole
 from kfenv.scenarios.reports import Site
 from kfenv.scenarios.scenario import TrackingScenario
 from kfenv.scenarios.tracks import LONGEST_GAP
@@ -95,6 +101,15 @@ class Plotted(TrackingScenario):
             return None
         starts = self.log.starts(self.duration, split)[:episodes]
         return self.log.recording(starts, len(self.time))
+
+    def whole(self) -> Whole | None:
+        """All plots of a log but for the first, which tell where the target begins."""
+        if self.plots is None:
+            return None
+        log, start = self.log, self.log.plots[FIRST - 1]
+        recording = log.recording(np.array([start]), len(log.time) - start, missing=False)
+        recording = recording if log.told else replace(recording, truth=None, scored=None)
+        return Whole(recording, log.begin + log.time[start])
 
 
 def log_of(

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
+import pymap3d
 from numpy.random import Generator
 from numpy.typing import NDArray
 
@@ -143,6 +144,12 @@ class RadarScenario(Plotted):
     def sensor(self) -> Sensor:
         """Range, azimuth and elevation."""
         return radar()
+
+    def geodetic(self, position: Array) -> Array | None:
+        """East, north and up of the radar, if its place is told."""
+        if self.radar_position is None:
+            return None
+        return np.stack(pymap3d.enu2geodetic(*position.T, *self.radar_position), axis=-1)
 
     def trajectory(self, rng: Generator) -> Array:
         """Truth (T, 9) of one episode."""

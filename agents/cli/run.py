@@ -1,0 +1,126 @@
+"""The command that filters a whole log and writes what the filter says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from ..files import is_free, write_json
+from .console import complaints, console
+from .options import (
+    Environment,
+    Faults,
+    Log,
+    Option,
+    Plots,
+    Rate,
+    Rinex,
+    Seed,
+    Track,
+    Truth,
+    env_kwargs,
+)
+
+
+def run(
+    env: Environment,
+    output: Annotated[Path, typer.Option(help="New folder for the files.")],
+    agent: Annotated[
+        str, typer.Option(help="As of `evaluate`: a name, a filter, the path of a policy.")
+    ] = "fixed",
+    value: Annotated[
+        list[str] | None,
+        typer.Option(help="KEY=NUMBER, a parameter of the agent; repeat."),
+    ] = None,
+    tuned: Annotated[
+        Path | None,
+        typer.Option(help="Folder of an `evaluate` whose tuned parameters the agent takes."),
+    ] = None,
+    seed: Seed = 0,
+    rate: Rate = None,
+    faults: Faults = None,
+    track: Track = None,
+    plots: Plots = None,
+    truth: Truth = None,
+    rinex: Rinex = None,
+    log: Log = None,
+    option: Option = None,
+    every_step: Annotated[
+        bool,
+        typer.Option("--every-step", help="A row for every filter step, not only where a "
+                     "measurement is due."),
+    ] = False,
+) -> None:  # fmt: skip
+    """Filter a whole log once with an agent: the estimate as a table, on maps and in a figure.
+
+    Writes estimate.csv (time, states, deviations, knobs, NIS, and the error where the truth is
+    told), map.png, run.json, and track.geojson and track.kml where positions have a place on
+    Earth. Without a log it filters the first episode that `evaluate` tests on with that seed.
+    """
+    with complaints():
+        kwargs = env_kwargs(rate, faults, track, rinex, option, plots, truth, log)
+        _run(env, kwargs, agent, _values(value, tuned, agent), seed, output, every_step)
+
+
+def _run(
+    env: str, kwargs: dict[str, Any], agent: str, values: dict[str, float], seed: int,
+    output: Path, every_step: bool,
+) -> None:  # fmt: skip
+    import kfenv  # noqa: F401  (registers the environments)
+
+    from ..running.estimates import filtered, rows_due
+    from ..running.geography import geodetic_tracks, write_geojson, write_kml
+    from ..running.map_figure import draw_map
+    from ..running.table import write_table
+
+    if not is_free(output):
+        raise FileExistsError(f"The folder {output} is not empty: name another with --output.")
+    result = filtered(env, kwargs, agent, values, seed)
+    if not len(result.mean):
+        raise ValueError(f"There is nothing to write. {result.ended}")
+    output.mkdir(parents=True, exist_ok=True)
+    due = rows_due(result)
+    rows = np.arange(len(result.mean)) if every_step else due
+    write_table(result, rows, output / "estimate.csv")
+    draw_map(result, rows, f"{env}, {agent}", output / "map.png")
+    tracks = geodetic_tracks(result, due)
+    if tracks:
+        write_geojson(tracks, output / "track.geojson")
+        write_kml(tracks, output / "track.kml")
+    told = result.summary() | {"rows": len(rows), "values": values, "seed": seed}
+    write_json(output / "run.json", {"env": env, "env_kwargs": kwargs, "agent": agent} | told)
+    console.print(_sentence(told))
+    if result.ended is not None:
+        console.print(f"[yellow]Note:[/yellow] {result.ended} The files hold what there was.")
+    for path in sorted(output.iterdir()):
+        console.print(f"  {path}")
+
+
+def _sentence(told: dict[str, Any]) -> str:
+    error = told["rmse"]
+    known = "" if error is None else f", position RMSE {error:.4g} m"
+    return (
+        f"{told['seconds']:.5g} s, {told['instants']} filter steps, {told['measurements']} with a "
+        f"measurement, NIS {told['nis']:.3g} a channel (1 is consistent){known}."
+    )
+
+
+def _values(value: list[str] | None, tuned: Path | None, agent: str) -> dict[str, float]:
+    """Parameters from a contest's folder, and those given over them."""
+    from ..contest.scores import read_values, scores_path
+
+    values: dict[str, float] = {}
+    if tuned is not None:
+        if not scores_path(tuned, agent).exists():
+            raise ValueError(f"{tuned} holds no scores of {agent}: contest it there first.")
+        values |= read_values(tuned, agent)
+    for item in value or ():
+        key, _, number = item.partition("=")
+        try:
+            values[key] = float(number)
+        except ValueError:
+            raise ValueError(f"--value {item!r} is not of the form KEY=NUMBER.") from None
+    return values

@@ -1,0 +1,106 @@
+"""A run as a picture: its track from above with measurements and uncertainty, and its height."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
+from numpy.typing import NDArray
+
+from ..plotting import COLOURS, clean, save
+from .estimates import Estimates
+
+Array = NDArray[np.float64]
+
+ELLIPSES = 25  # along the track
+SIGMA = 2.4477  # radius of 95 % of a normal distribution in two dimensions
+BAND = 1.96  # the same in one
+KM, FAR = 1e3, 10_000.0  # m, from which extent on axes are in kilometres
+DOTS = 5000  # measurements at most
+WILD = (1.0, 99.0)  # percentiles of the measurements that are in view, with a margin
+
+
+def draw_map(run: Estimates, rows: NDArray[np.int64], title: str, path: Path) -> None:
+    """Write the figure.
+
+    Args:
+        rows: indices of the instants to draw.
+        title: above it.
+    """
+    estimate, spread, time = run.local(run.position[rows]), run.spread[rows], run.time[rows]
+    truth = None if run.truth is None else run.local(run.truth[rows])
+    measured = run.measured
+    if measured is not None:
+        measured = measured[: len(run.mean)]
+        seen = np.isfinite(measured).all(axis=1)
+        dots = np.flatnonzero(seen)[:: max(1, int(seen.sum()) // DOTS)]
+        measured, measured_at = measured[dots], run.time[dots]
+    scale = KM if np.ptp(estimate[:, :2], axis=0).max() > FAR else 1.0
+    figure = Figure((9.0, 9.6), layout="constrained")
+    above, height = figure.subplots(2, height_ratios=(3, 1))
+    if measured is not None:
+        above.plot(*measured[:, :2].T / scale, ".", color=COLOURS[7], ms=2.5, zorder=1,
+                   label="measured")  # fmt: skip
+        height.plot(measured_at, measured[:, 2], ".", color=COLOURS[7], ms=2, zorder=1)
+    if truth is not None:
+        above.plot(*truth[:, :2].T / scale, color=COLOURS[0], lw=1.6, zorder=2, label="truth")
+        height.plot(time, truth[:, 2], color=COLOURS[0], lw=1.4, zorder=2)
+    above.plot(*estimate[:, :2].T / scale, color=COLOURS[4], lw=1.3, zorder=3, label="estimate")
+    _ellipses(above, estimate, spread, scale)
+    above.plot(*estimate[0, :2] / scale, "o", color=COLOURS[3], ms=6, zorder=5, label="begin")
+    if run.scenario.sensor.name == "radar":
+        above.plot(0.0, 0.0, "^", color=COLOURS[0], ms=8, label="radar")
+    _band(height, time, estimate[:, 2], np.sqrt(spread[:, 2, 2]))
+    _view(above, estimate, truth, measured, scale)
+    unit = "km" if scale == KM else "m"
+    above.set_xlabel(f"east, {unit}")
+    above.set_ylabel(f"north, {unit}")
+    above.set_title(title, loc="left", fontsize=10)
+    above.legend(frameon=False, fontsize=9)
+    height.set_xlabel("time, s")
+    height.set_ylabel("up, m")
+    clean(above)
+    clean(height)
+    save(figure, path)
+
+
+def _ellipses(axes: Axes, estimate: Array, spread: Array, scale: float) -> None:
+    """Where the target is with 95 %, at some instants evenly apart."""
+    chosen = np.unique(np.linspace(0, len(estimate) - 1, ELLIPSES).astype(int))
+    for label, row in zip(["95 %"] + [None] * len(chosen), chosen, strict=False):
+        lengths, axes_of = np.linalg.eigh(spread[row, :2, :2])
+        width, depth = 2.0 * SIGMA * np.sqrt(np.maximum(lengths, 0.0)) / scale
+        angle = np.degrees(np.arctan2(axes_of[1, 0], axes_of[0, 0]))
+        axes.add_patch(Ellipse(estimate[row, :2] / scale, width, depth, angle=angle, zorder=4,
+                               fc=COLOURS[2], ec=COLOURS[4], lw=0.6, alpha=0.4,
+                               label=label))  # fmt: skip
+
+
+def _band(axes: Axes, time: Array, up: Array, deviation: Array) -> None:
+    """The height with its 95 %, in a view that a vague begin does not widen."""
+    axes.fill_between(time, up - BAND * deviation, up + BAND * deviation, color=COLOURS[2],
+                      alpha=0.4, lw=0, zorder=2.5)  # fmt: skip
+    axes.plot(time, up, color=COLOURS[4], lw=1.2, zorder=3)
+    usual = 3.0 * BAND * float(np.median(deviation))
+    low, high = np.percentile(up, WILD)
+    axes.set_ylim(low - usual - 0.1 * (high - low) - 1.0, high + usual + 0.1 * (high - low) + 1.0)
+
+
+def _view(
+    axes: Axes, estimate: Array, truth: Array | None, measured: Array | None, scale: float
+) -> None:
+    """Show the track, and measurements but for the wildest."""
+    parts = [estimate[:, :2]]
+    if truth is not None:
+        parts.append(truth[np.isfinite(truth).all(axis=1)][:, :2])
+    if measured is not None and len(measured):
+        parts.append(np.percentile(measured[:, :2], WILD, axis=0))
+    points = np.concatenate(parts) / scale
+    low, high = points.min(axis=0), points.max(axis=0)
+    half, middle = 0.54 * float((high - low).max()) + 1e-3, 0.5 * (low + high)
+    axes.set_aspect("equal", adjustable="box")
+    axes.set_xlim(middle[0] - half, middle[0] + half)
+    axes.set_ylim(middle[1] - half, middle[1] + half)
