@@ -22,7 +22,10 @@ from .options import (
     Track,
     Truth,
     env_kwargs,
+    is_real_log,
 )
+
+SHORT = 20.0  # s
 
 
 def run(
@@ -62,6 +65,8 @@ def run(
     """
     with complaints():
         kwargs = env_kwargs(rate, faults, track, rinex, option, plots, truth, log)
+        if is_real_log(kwargs):  # a short log has room for no window, and needs none
+            kwargs.setdefault("duration", SHORT)
         _run(env, kwargs, agent, _values(value, tuned, agent), seed, output, every_step)
 
 

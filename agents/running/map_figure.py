@@ -30,14 +30,15 @@ def draw_map(run: Estimates, rows: NDArray[np.int64], title: str, path: Path) ->
         rows: indices of the instants to draw.
         title: above it.
     """
-    estimate, spread, time = run.local(run.position[rows]), run.spread[rows], run.time[rows]
+    estimate, spread = run.local(run.position[rows]), run.spread[rows]
+    time = run.time[rows] - run.time[0]
     truth = None if run.truth is None else run.local(run.truth[rows])
     measured = run.measured
     if measured is not None:
         measured = measured[: len(run.mean)]
         seen = np.isfinite(measured).all(axis=1)
         dots = np.flatnonzero(seen)[:: max(1, int(seen.sum()) // DOTS)]
-        measured, measured_at = measured[dots], run.time[dots]
+        measured, measured_at = measured[dots], run.time[dots] - run.time[0]
     scale = KM if np.ptp(estimate[:, :2], axis=0).max() > FAR else 1.0
     figure = Figure((9.0, 9.6), layout="constrained")
     above, height = figure.subplots(2, height_ratios=(3, 1))
@@ -46,21 +47,20 @@ def draw_map(run: Estimates, rows: NDArray[np.int64], title: str, path: Path) ->
                    label="measured")  # fmt: skip
         height.plot(measured_at, measured[:, 2], ".", color=COLOURS[7], ms=2, zorder=1)
     if truth is not None:
-        above.plot(*truth[:, :2].T / scale, color=COLOURS[0], lw=1.6, zorder=2, label="truth")
+        above.plot(*truth[:, :2].T / scale, "x-", markevery=[-1], color=COLOURS[0], lw=1.6,
+                   zorder=2, label="truth")  # fmt: skip
         height.plot(time, truth[:, 2], color=COLOURS[0], lw=1.4, zorder=2)
     above.plot(*estimate[:, :2].T / scale, color=COLOURS[4], lw=1.3, zorder=3, label="estimate")
     _ellipses(above, estimate, spread, scale)
     above.plot(*estimate[0, :2] / scale, "o", color=COLOURS[3], ms=6, zorder=5, label="begin")
-    if run.scenario.sensor.name == "radar":
-        above.plot(0.0, 0.0, "^", color=COLOURS[0], ms=8, label="radar")
     _band(height, time, estimate[:, 2], np.sqrt(spread[:, 2, 2]))
-    _view(above, estimate, truth, measured, scale)
+    _view(above, estimate, spread, truth, measured, scale)
     unit = "km" if scale == KM else "m"
     above.set_xlabel(f"east, {unit}")
     above.set_ylabel(f"north, {unit}")
     above.set_title(title, loc="left", fontsize=10)
     above.legend(frameon=False, fontsize=9)
-    height.set_xlabel("time, s")
+    height.set_xlabel(f"time since t = {run.time[0]:.10g}, s")
     height.set_ylabel("up, m")
     clean(above)
     clean(height)
@@ -75,7 +75,7 @@ def _ellipses(axes: Axes, estimate: Array, spread: Array, scale: float) -> None:
         width, depth = 2.0 * SIGMA * np.sqrt(np.maximum(lengths, 0.0)) / scale
         angle = np.degrees(np.arctan2(axes_of[1, 0], axes_of[0, 0]))
         axes.add_patch(Ellipse(estimate[row, :2] / scale, width, depth, angle=angle, zorder=4,
-                               fc=COLOURS[2], ec=COLOURS[4], lw=0.6, alpha=0.4,
+                               fc=COLOURS[2], ec=COLOURS[4], lw=0.6, alpha=0.25,
                                label=label))  # fmt: skip
 
 
@@ -90,10 +90,12 @@ def _band(axes: Axes, time: Array, up: Array, deviation: Array) -> None:
 
 
 def _view(
-    axes: Axes, estimate: Array, truth: Array | None, measured: Array | None, scale: float
-) -> None:
-    """Show the track, and measurements but for the wildest."""
-    parts = [estimate[:, :2]]
+    axes: Axes, estimate: Array, spread: Array, truth: Array | None, measured: Array | None,
+    scale: float,
+) -> None:  # fmt: skip
+    """Show the track with a usual ellipse, and measurements but for the wildest."""
+    usual = SIGMA * np.median(np.sqrt(np.diagonal(spread, axis1=1, axis2=2)[:, :2]), axis=0)
+    parts = [estimate[:, :2] - usual, estimate[:, :2] + usual]
     if truth is not None:
         parts.append(truth[np.isfinite(truth).all(axis=1)][:, :2])
     if measured is not None and len(measured):

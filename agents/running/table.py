@@ -54,7 +54,7 @@ def _places(run: Estimates) -> dict[str, Array]:
 
 
 def _named(state: Component, told: str = "") -> str:
-    return f"{state.name}{told}_{state.unit.replace('rad', 'deg')}"
+    return f"{state.name.replace(' ', '_')}{told}_{state.unit.replace('rad', 'deg')}"
 
 
 def _unit(state: Component) -> float:
