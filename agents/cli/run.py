@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -24,6 +24,9 @@ from .options import (
     env_kwargs,
     is_real_log,
 )
+
+if TYPE_CHECKING:
+    from ..running.estimates import Estimates
 
 SHORT = 20.0  # s
 
@@ -76,7 +79,7 @@ def _run(
 ) -> None:  # fmt: skip
     import kfenv  # noqa: F401  (registers the environments)
 
-    from ..running.estimates import filtered, rows_due
+    from ..running.filtering import filtered
     from ..running.geography import geodetic_tracks, write_geojson, write_kml
     from ..running.map_figure import draw_map
     from ..running.table import write_table
@@ -85,21 +88,20 @@ def _run(
         raise FileExistsError(f"The folder {output} is not empty: name another with --output.")
     result = filtered(env, kwargs, agent, values, seed)
     if not len(result.mean):
-        raise ValueError(f"There is nothing to write. {result.ended}")
+        raise ValueError(f"There is nothing to write. {' '.join(result.ended)}")
     output.mkdir(parents=True, exist_ok=True)
-    due = rows_due(result)
-    rows = np.arange(len(result.mean)) if every_step else due
+    rows = np.arange(len(result.mean)) if every_step else result.due
     write_table(result, rows, output / "estimate.csv")
     draw_map(result, rows, f"{env}, {agent}", output / "map.png")
-    tracks = geodetic_tracks(result, due)
+    tracks = geodetic_tracks(result, result.due)
     if tracks:
         write_geojson(tracks, output / "track.geojson")
         write_kml(tracks, output / "track.kml")
     told = result.summary() | {"rows": len(rows), "values": values, "seed": seed}
     write_json(output / "run.json", {"env": env, "env_kwargs": kwargs, "agent": agent} | told)
     console.print(_sentence(told))
-    if result.ended is not None:
-        console.print(f"[yellow]Note:[/yellow] {result.ended} The files hold what there was.")
+    for said in _endings(result):
+        console.print(f"[yellow]Note:[/yellow] {said}")
     for path in sorted(output.iterdir()):
         console.print(f"  {path}")
 
@@ -111,6 +113,14 @@ def _sentence(told: dict[str, Any]) -> str:
         f"{told['seconds']:.5g} s, {told['instants']} filter steps, {told['measurements']} with a "
         f"measurement, NIS {told['nis']:.3g} a channel (1 is consistent){known}."
     )
+
+
+def _endings(result: Estimates) -> list[str]:
+    """Why and when the filter stopped, and where it began anew."""
+    begins = result.time[np.flatnonzero(np.diff(result.stretch)) + 1]
+    anew = [f"It began anew at t = {time:.10g} s." for time in begins]
+    anew += ["The files hold what there was."] * (len(result.ended) - len(anew))
+    return [f"{said} {then}" for said, then in zip(result.ended, anew, strict=False)]
 
 
 def _values(value: list[str] | None, tuned: Path | None, agent: str) -> dict[str, float]:

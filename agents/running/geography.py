@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,31 +14,29 @@ from ..files import written_whole
 from .estimates import Estimates
 
 Array = NDArray[np.float64]
-Tracks = dict[str, tuple[Array, Array]]  # times (k,) and longitude, latitude, height (k, 3)
+Track = tuple[str, Array, Array]  # name, times (k,) and longitude, latitude, height (k, 3)
 
 COLOURS = {"estimate": "ff b2 72 00", "truth": "ff c4 c4 c4"}  # KML's order: opaque, b, g, r
 KML = "http://www.opengis.net/kml/2.2"
 
 
-def geodetic_tracks(run: Estimates, rows: NDArray[np.int64]) -> Tracks | None:
-    """Of the estimate and, where it is known, of the truth; None without a place on Earth.
+def geodetic_tracks(run: Estimates, rows: NDArray[np.int64]) -> list[Track]:
+    """Each stretch of the estimate and, where it is known, the truth; none without a place.
 
     Args:
         rows: indices of the instants.
     """
-    tracks: Tracks = {}
-    for name, position in (("estimate", run.position), ("truth", run.truth)):
-        if position is None:
-            continue
-        told = run.scenario.geodetic(position[rows])
-        if told is None:
-            return None
-        known = np.isfinite(told).all(axis=1)
-        tracks[name] = run.time[rows][known], told[known][:, [1, 0, 2]]
-    return {name: track for name, track in tracks.items() if len(track[0]) > 1}
+    parts = [("estimate", run.position, rows[part]) for part in run.stretches(rows)]
+    tracks: list[Track] = []
+    for name, position, part in (*parts, ("truth", run.truth, rows)):
+        part = part[np.isfinite(position[part]).all(axis=1)]
+        told = run.scenario.geodetic(position[part])
+        if told is not None and len(part) > 1:
+            tracks.append((name, run.time[part], told[:, [1, 0, 2]]))
+    return tracks
 
 
-def write_geojson(tracks: Tracks, path: Path) -> None:
+def write_geojson(tracks: Sequence[Track], path: Path) -> None:
     """Write a feature per track: a line, its times beside it as ``times``, s."""
     features = [
         {
@@ -45,17 +44,17 @@ def write_geojson(tracks: Tracks, path: Path) -> None:
             "properties": {"name": name, "times": [float(f"{t:.12g}") for t in time]},
             "geometry": {"type": "LineString", "coordinates": _rounded(points)},
         }
-        for name, (time, points) in tracks.items()
+        for name, time, points in tracks
     ]
     with written_whole(path) as file:
         file.write(json.dumps({"type": "FeatureCollection", "features": features}).encode())
 
 
-def write_kml(tracks: Tracks, path: Path) -> None:
+def write_kml(tracks: Sequence[Track], path: Path) -> None:
     """Write a line per track, at its height."""
     root = ElementTree.Element("kml", xmlns=KML)
     document = ElementTree.SubElement(root, "Document")
-    for name, (_, points) in tracks.items():
+    for name, _, points in tracks:
         placemark = ElementTree.SubElement(document, "Placemark")
         ElementTree.SubElement(placemark, "name").text = name
         style = ElementTree.SubElement(ElementTree.SubElement(placemark, "Style"), "LineStyle")

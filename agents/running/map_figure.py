@@ -32,28 +32,33 @@ def draw_map(run: Estimates, rows: NDArray[np.int64], title: str, path: Path) ->
     """
     estimate, spread = run.local(run.position[rows]), run.spread[rows]
     time = run.time[rows] - run.time[0]
-    truth = None if run.truth is None else run.local(run.truth[rows])
-    measured = run.measured
-    if measured is not None:
-        measured = measured[: len(run.mean)]
-        seen = np.isfinite(measured).all(axis=1)
-        dots = np.flatnonzero(seen)[:: max(1, int(seen.sum()) // DOTS)]
-        measured, measured_at = measured[dots], run.time[dots] - run.time[0]
+    truth = run.local(run.truth[rows])
+    seen = np.flatnonzero(np.isfinite(run.measured).all(axis=1))
+    seen = seen[:: max(1, len(seen) // DOTS)]
+    measured = run.measured[seen]
     scale = KM if np.ptp(estimate[:, :2], axis=0).max() > FAR else 1.0
     figure = Figure((9.0, 9.6), layout="constrained")
     above, height = figure.subplots(2, height_ratios=(3, 1))
-    if measured is not None:
+    if len(seen):
         above.plot(*measured[:, :2].T / scale, ".", color=COLOURS[7], ms=2.5, zorder=1,
                    label="measured")  # fmt: skip
-        height.plot(measured_at, measured[:, 2], ".", color=COLOURS[7], ms=2, zorder=1)
-    if truth is not None:
+        height.plot(
+            run.time[seen] - run.time[0], measured[:, 2], ".", color=COLOURS[7], ms=2, zorder=1
+        )
+    if np.isfinite(truth).any():
         above.plot(*truth[:, :2].T / scale, "x-", markevery=[-1], color=COLOURS[0], lw=1.6,
                    zorder=2, label="truth")  # fmt: skip
         height.plot(time, truth[:, 2], color=COLOURS[0], lw=1.4, zorder=2)
-    above.plot(*estimate[:, :2].T / scale, color=COLOURS[4], lw=1.3, zorder=3, label="estimate")
     _ellipses(above, estimate, spread, scale)
-    above.plot(*estimate[0, :2] / scale, "o", color=COLOURS[3], ms=6, zorder=5, label="begin")
-    _band(height, time, estimate[:, 2], np.sqrt(spread[:, 2, 2]))
+    labels = "estimate", "begin"
+    for part in run.stretches(rows):
+        above.plot(*estimate[part, :2].T / scale, color=COLOURS[4], lw=1.3, zorder=3,
+                   label=labels[0])  # fmt: skip
+        above.plot(*estimate[part[0], :2] / scale, "o", color=COLOURS[3], ms=6, zorder=5,
+                   label=labels[1])  # fmt: skip
+        labels = None, None  # once in the legend
+        _band(height, time[part], estimate[part, 2], np.sqrt(spread[part, 2, 2]))
+    _view_of_height(height, estimate[:, 2], np.sqrt(spread[:, 2, 2]))
     _view(above, estimate, spread, truth, measured, scale)
     unit = "km" if scale == KM else "m"
     above.set_xlabel(f"east, {unit}")
@@ -80,25 +85,27 @@ def _ellipses(axes: Axes, estimate: Array, spread: Array, scale: float) -> None:
 
 
 def _band(axes: Axes, time: Array, up: Array, deviation: Array) -> None:
-    """The height with its 95 %, in a view that a vague begin does not widen."""
+    """The height with its 95 %."""
     axes.fill_between(time, up - BAND * deviation, up + BAND * deviation, color=COLOURS[2],
                       alpha=0.4, lw=0, zorder=2.5)  # fmt: skip
     axes.plot(time, up, color=COLOURS[4], lw=1.2, zorder=3)
+
+
+def _view_of_height(axes: Axes, up: Array, deviation: Array) -> None:
+    """Show all but what a vague begin or a gap would add."""
     usual = 3.0 * BAND * float(np.median(deviation))
     low, high = np.percentile(up, WILD)
     axes.set_ylim(low - usual - 0.1 * (high - low) - 1.0, high + usual + 0.1 * (high - low) + 1.0)
 
 
 def _view(
-    axes: Axes, estimate: Array, spread: Array, truth: Array | None, measured: Array | None,
-    scale: float,
+    axes: Axes, estimate: Array, spread: Array, truth: Array, measured: Array, scale: float
 ) -> None:  # fmt: skip
     """Show the track with a usual ellipse, and measurements but for the wildest."""
     usual = SIGMA * np.median(np.sqrt(np.diagonal(spread, axis1=1, axis2=2)[:, :2]), axis=0)
     parts = [estimate[:, :2] - usual, estimate[:, :2] + usual]
-    if truth is not None:
-        parts.append(truth[np.isfinite(truth).all(axis=1)][:, :2])
-    if measured is not None and len(measured):
+    parts.append(truth[np.isfinite(truth).all(axis=1)][:, :2])
+    if len(measured):
         parts.append(np.percentile(measured[:, :2], WILD, axis=0))
     points = np.concatenate(parts) / scale
     low, high = points.min(axis=0), points.max(axis=0)

@@ -27,7 +27,7 @@ def write_table(run: Estimates, rows: NDArray[np.int64], path: Path) -> None:
     Args:
         rows: indices of the instants.
     """
-    columns = {"t_s": run.time} | _places(run)
+    columns = {"t_s": run.time, "stretch": run.stretch} | _places(run)
     deviation = np.sqrt(np.diagonal(run.covariance, axis1=1, axis2=2))
     states = run.scenario.motion.states
     for i, state in enumerate(states):
@@ -36,8 +36,8 @@ def write_table(run: Estimates, rows: NDArray[np.int64], path: Path) -> None:
         columns[_named(state, "_std")] = deviation[:, i] * _unit(state)
     columns |= {f"knob_{name}": run.factors[:, i] for i, name in enumerate(run.knobs)}
     columns |= {"nis": run.nis, "channels": run.channels}
-    if run.truth is not None:
-        columns["error_m"] = np.linalg.norm(run.position - run.truth, axis=1)
+    if np.isfinite(run.error).any():
+        columns["error_m"] = run.error
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)

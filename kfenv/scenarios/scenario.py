@@ -137,8 +137,13 @@ class TrackingScenario(ABC):
         """At most so many episodes of a real log that are kept for a split; None if drawn."""
         return None
 
-    def whole(self) -> Whole | None:
-        """All of a real log as one episode; None where episodes are drawn."""
+    def whole(self, after: float | None = None) -> Whole | None:
+        """All of a real log as one episode; None where episodes are drawn.
+
+        Args:
+            after: time of the log's clock, s, from which on a filter begins anew; None where it
+                cannot.
+        """
         return None
 
     def geodetic(self, position: Array) -> Array | None:

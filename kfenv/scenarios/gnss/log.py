@@ -119,9 +119,12 @@ class GnssLog:
             scored=None if scored.all() else scored,
         )  # fmt: skip
 
-    def whole(self) -> Whole:
-        """All epochs from the first that tells a state."""
-        start, fixes = self.start[:1], None
+    def whole(self, after: float | None = None) -> Whole | None:
+        """All epochs from the first after a time (s of `began`'s clock) that tells a state."""
+        fixes, told = None, self.began + self.row[self.start] * self.step
+        start = self.start[told > (-np.inf if after is None else after)][:1]
+        if not len(start) or start[0] == len(self.row) - 1:
+            return None
         row = self.row[start[0]]
         recording = self.recording(start, (self.row[-1] - row) * self.step, missing=False)
         if not self.told:

@@ -259,9 +259,9 @@ class GnssTracking(TrackingScenario):
             return None
         return self.log.recording(self.log.starts(self.duration, split)[:episodes], self.duration)
 
-    def whole(self) -> Whole | None:
+    def whole(self, after: float | None = None) -> Whole | None:
         """All epochs of a log from the first that tells a state."""
-        return None if self.log is None else self.log.whole()
+        return None if self.log is None else self.log.whole(after)
 
     def geodetic(self, position: Array) -> Array:
         """From the earth-fixed frame."""

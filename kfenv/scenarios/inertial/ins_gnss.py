@@ -290,9 +290,9 @@ class InsGnss(TrackingScenario):
         faults = self.presets["outages"] if self._misses_fixes else None
         return self._replay(rng.choice(self._log.starts(self.duration, "tuning")), rng, faults)
 
-    def whole(self) -> Whole | None:
-        """All of a log from the first fix after which the vehicle moved."""
-        if self.log is None:
+    def whole(self, after: float | None = None) -> Whole | None:
+        """All of a log from the first fix after which the vehicle moved; it begins once."""
+        if self.log is None or after is not None:
             return None
         log, start = self._log, self._log.first_moving
         begin = log.row[start]

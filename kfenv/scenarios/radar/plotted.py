@@ -102,11 +102,15 @@ class Plotted(TrackingScenario):
         starts = self.log.starts(self.duration, split)[:episodes]
         return self.log.recording(starts, len(self.time))
 
-    def whole(self) -> Whole | None:
+    def whole(self, after: float | None = None) -> Whole | None:
         """All plots of a log but for the first, which tell where the target begins."""
         if self.plots is None:
             return None
-        log, start = self.log, self.log.plots[FIRST - 1]
+        log, begin = self.log, self.log.begin if after is None else after
+        later = np.flatnonzero(log.begin + log.time[log.plots] >= begin)[FIRST - 1 :]
+        start = log.plots[later[0]] if len(later) else len(log.time)
+        if start > len(log.time) - 2:
+            return None
         recording = log.recording(np.array([start]), len(log.time) - start, missing=False)
         recording = recording if log.told else replace(recording, truth=None, scored=None)
         return Whole(recording, log.begin + log.time[start])
