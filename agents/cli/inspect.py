@@ -1,4 +1,4 @@
-"""The command that tells what an inertial and a GNSS file say of each other."""
+"""The command that tells what a log says of itself: an inertial and a GNSS file, or plots."""
 
 from __future__ import annotations
 
@@ -11,17 +11,30 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from .console import complaints, console
+from .options import Plots
 
 
 def inspect(
-    imu: Annotated[Path, typer.Argument(metavar="IMU", help="Inertial samples, CSV.")],
-    gnss: Annotated[Path, typer.Argument(metavar="GNSS", help="Fixes, CSV.")],
+    imu: Annotated[
+        Path | None, typer.Argument(metavar="[IMU", help="Inertial samples, CSV.")
+    ] = None,
+    gnss: Annotated[Path | None, typer.Argument(metavar="GNSS]", help="Fixes, CSV.")] = None,
+    plots: Plots = None,
 ) -> None:
     """Estimate a real log's clock offset, mounting and errors at rest, with deviations.
 
-    What is to be corrected goes to InsGnss as time_offset=S and mounting=[ROLL,PITCH,YAW].
+    What is to be corrected goes to InsGnss as time_offset=S and mounting=[ROLL,PITCH,YAW]. With
+    --plots instead: how often a radar's plots come, what is missing, where and how fast their
+    target is, and their noise, measured, beside what the file tells.
     """
     with complaints():
+        if plots is not None and imu is None:
+            from .plots_table import plots_table
+
+            console.print(plots_table(plots))
+            return
+        if imu is None or gnss is None or plots is not None:
+            raise ValueError("Give an inertial and a GNSS file (IMU GNSS), or --plots FILE.")
         from kfenv.scenarios.inertial.files import read_fixes, read_imu
 
         console.print(_table(read_imu(imu), read_fixes(gnss)))

@@ -49,7 +49,8 @@ def draw_map(run: Estimates, rows: NDArray[np.int64], title: str, path: Path) ->
         above.plot(*truth[:, :2].T / scale, "x-", markevery=[-1], color=COLOURS[0], lw=1.6,
                    zorder=2, label="truth")  # fmt: skip
         height.plot(time, truth[:, 2], color=COLOURS[0], lw=1.4, zorder=2)
-    _ellipses(above, estimate, spread, scale)
+    arrived = np.flatnonzero((run.channels[rows] > 0) | (run.channels.max() == 0))
+    _ellipses(above, estimate[arrived], spread[arrived], scale)
     labels = "estimate", "begin"
     for part in run.stretches(rows):
         above.plot(*estimate[part, :2].T / scale, color=COLOURS[4], lw=1.3, zorder=3,
@@ -59,7 +60,7 @@ def draw_map(run: Estimates, rows: NDArray[np.int64], title: str, path: Path) ->
         labels = None, None  # once in the legend
         _band(height, time[part], estimate[part, 2], np.sqrt(spread[part, 2, 2]))
     _view_of_height(height, estimate[:, 2], np.sqrt(spread[:, 2, 2]))
-    _view(above, estimate, spread, truth, measured, scale)
+    _view(above, estimate[arrived], spread[arrived], truth, measured, scale)
     unit = "km" if scale == KM else "m"
     above.set_xlabel(f"east, {unit}")
     above.set_ylabel(f"north, {unit}")
@@ -73,15 +74,18 @@ def draw_map(run: Estimates, rows: NDArray[np.int64], title: str, path: Path) ->
 
 
 def _ellipses(axes: Axes, estimate: Array, spread: Array, scale: float) -> None:
-    """Where the target is with 95 %, at some instants evenly apart."""
-    chosen = np.unique(np.linspace(0, len(estimate) - 1, ELLIPSES).astype(int))
-    for label, row in zip(["95 %"] + [None] * len(chosen), chosen, strict=False):
+    """Where the target is with 95 %, at some instants that lie apart."""
+    label, drawn = "95 %", np.full(2, np.inf)
+    for row in np.unique(np.linspace(0, len(estimate) - 1, ELLIPSES).astype(int)):
         lengths, axes_of = np.linalg.eigh(spread[row, :2, :2])
-        width, depth = 2.0 * SIGMA * np.sqrt(np.maximum(lengths, 0.0)) / scale
-        angle = np.degrees(np.arctan2(axes_of[1, 0], axes_of[0, 0]))
-        axes.add_patch(Ellipse(estimate[row, :2] / scale, width, depth, angle=angle, zorder=4,
+        width, depth = 2.0 * SIGMA * np.sqrt(np.maximum(lengths, 0.0))
+        if np.linalg.norm(estimate[row, :2] - drawn) < 0.5 * depth:
+            continue  # it would cover the one before
+        drawn, angle = estimate[row, :2], np.degrees(np.arctan2(axes_of[1, 0], axes_of[0, 0]))
+        axes.add_patch(Ellipse(drawn / scale, width / scale, depth / scale, angle=angle, zorder=4,
                                fc=COLOURS[2], ec=COLOURS[4], lw=0.6, alpha=0.25,
                                label=label))  # fmt: skip
+        label = None
 
 
 def _band(axes: Axes, time: Array, up: Array, deviation: Array) -> None:
