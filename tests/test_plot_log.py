@@ -86,7 +86,7 @@ def test_without_a_truth_plots_are_withheld_and_count(files):
     log, windows = scenario.log, scenario.recorded("test", 100)
     counts = windows.scored > 0.0
     assert counts.any() and np.isnan(windows.measurement[counts]).all()
-    stretch = np.floor(windows.times / 3.0 + 1e-6) % 6 == 5
+    stretch = np.floor(windows.times / 2.0 + 1e-6) % 6 == 5
     assert np.isnan(windows.measurement[stretch]).all()
     starts = log.starts(18.0, "test")
     for window, start in zip(range(len(windows)), starts, strict=True):

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from kfenv.envs.wording import listed, paragraphs
-from kfenv.scenarios.radar.plot_log import LEARNT, MAX_GAP, MAX_STEP
+from kfenv.scenarios.radar.plot_log import LEARNT, MAX_GAP, MAX_STEP, MISSED
 from kfenv.scenarios.radar.plots import column
-from kfenv.scenarios.windows import PARTS, WITHHELD
+from kfenv.scenarios.windows import PARTS
 
 
 def plots(scenario: Any) -> str:
@@ -28,7 +28,7 @@ def plots(scenario: Any) -> str:
         plot to plot, however irregular these come, and at most {MAX_STEP:g} s at once; gaps of up
         to {MAX_GAP:g} s are bridged. The truth is a file{turns * flight} with the columns
         ``t, x_m, y_m, z_m``{turns * axes}. Without a truth the filter misses the last of every
-        six stretches of {WITHHELD:g} s (of a sixth of a shorter window, or of a plot where those
+        six stretches of {MISSED:g} s (of a sixth of a shorter window, or of a plot where those
         are rarer), and its error is counted there, against the plots, whose own noise is part of
         it. Episodes are windows of about ``duration`` from the first {low} of the log's time;
         ``kfenv evaluate --plots`` tests on windows of its last half, ``kfenv train`` validates

@@ -19,14 +19,14 @@ PARTS = {"tuning": (0.0, 0.3), "validation": (0.3, 0.5), "test": (0.5, 1.0)}
 WITHHELD, EVERY = 10.0, 6
 
 
-def withheld(time: Array, least: float) -> NDArray[np.bool_]:
+def withheld(time: Array, least: float, most: float = WITHHELD) -> NDArray[np.bool_]:
     """Instants (..., T) of windows at which the filter gets nothing, so that it can be judged.
 
     Args:
         time: (..., T) since each window began, s.
-        least: of a stretch, s.
+        least, most: of a stretch, s.
     """
-    stretch = np.maximum(np.minimum(WITHHELD, time[..., -1:] / EVERY), least)
+    stretch = np.maximum(np.minimum(most, time[..., -1:] / EVERY), least)
     return np.floor(time / stretch + 1e-6) % EVERY == EVERY - 1
 
 

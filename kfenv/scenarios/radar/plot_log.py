@@ -28,6 +28,7 @@ Mask = NDArray[np.bool_]
 
 MAX_STEP = 1.0  # s: the longest that the motion models take
 MAX_GAP = 60.0  # s without a plot
+MISSED = 2.0  # s without plots that judge a filter: in longer ones how it turns outweighs all else
 FIRST, LEARNT = 5, 5.0  # plots at least, and s of them, that tell where a window begins
 FASTEST, HARDEST = 300.0, 5.0  # m/s and m/s^2, of a target that nothing is known of, 1 sigma
 JERK = 10.0  # m^2/s^5: how fast older plots lose their word on that
@@ -113,7 +114,7 @@ class PlotLog:
         measurement, noise = self.measurement[instants], self.noise[instants]
         scored = self.known[instants]
         if not self.told and missing:
-            missed = withheld(time, self._interval)
+            missed = withheld(time, self._interval, MISSED)
             measurement[missed] = np.nan
             scored &= missed
         measurement[:, 0] = np.nan
@@ -158,7 +159,7 @@ class PlotLog:
         if self.told:
             return bool(known.any())
         time = self.time[start : start + steps] - self.time[start]
-        return bool((known & withheld(time, self._interval)).any())
+        return bool((known & withheld(time, self._interval, MISSED)).any())
 
 
 @lru_cache(maxsize=64)
