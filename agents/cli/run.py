@@ -81,7 +81,7 @@ def _run(
 
     from ..running.filtering import filtered
     from ..running.geography import geodetic_tracks, write_geojson, write_kml
-    from ..running.map_figure import draw_map
+    from ..running.map_figure import draw_map, draw_series
     from ..running.table import write_table
 
     if not is_free(output):
@@ -92,7 +92,8 @@ def _run(
     output.mkdir(parents=True, exist_ok=True)
     rows = np.arange(len(result.mean)) if every_step else result.due
     write_table(result, rows, output / "estimate.csv")
-    draw_map(result, rows, f"{env}, {agent}", output / "map.png")
+    draw = draw_map if result.has_position else draw_series
+    draw(result, rows, f"{env}, {agent}", output / "map.png")
     tracks = geodetic_tracks(result, result.due)
     if tracks:
         write_geojson(tracks, output / "track.geojson")
@@ -108,7 +109,7 @@ def _run(
 
 def _sentence(told: dict[str, Any]) -> str:
     error = told["rmse"]
-    known = "" if error is None else f", position RMSE {error:.4g} m"
+    known = "" if error is None else f", RMSE {error:.4g} {told['unit']}"
     return (
         f"{told['seconds']:.5g} s, {told['instants']} filter steps, {told['measurements']} with a "
         f"measurement, NIS {told['nis']:.3g} a channel (1 is consistent){known}."

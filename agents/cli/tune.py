@@ -11,7 +11,19 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from .console import complaints, console, progress
-from .options import Environment, Faults, Option, Rate, Resume, Rinex, Seed, Track, env_kwargs
+from .options import (
+    Environment,
+    Faults,
+    Option,
+    Plots,
+    Rate,
+    Resume,
+    Rinex,
+    Seed,
+    Track,
+    Truth,
+    env_kwargs,
+)
 
 
 def tune(
@@ -53,6 +65,8 @@ def tune(
     faults: Faults = None,
     track: Track = None,
     rinex: Rinex = None,
+    plots: Plots = None,
+    truth: Truth = None,
     option: Option = None,
     resume: Resume = False,
 ) -> None:
@@ -80,8 +94,9 @@ def tune(
         from ..tuning.study import Study, run_study
 
         study = Study(
-            env, env_kwargs(rate, faults, track, rinex, option), tuple(by or ("likelihood",)),
-            noise, tuple(rule or ()), trials, episodes, test_episodes, seed,
+            env, env_kwargs(rate, faults, track, rinex, option, plots, truth),
+            tuple(by or ("likelihood",)), noise, tuple(rule or ()), trials, episodes,
+            test_episodes, seed,
         )  # fmt: skip
         with progress() as bar:
             task = bar.add_task("tuning", total=None)

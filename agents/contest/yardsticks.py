@@ -139,7 +139,7 @@ class _Looked:
     def __init__(self, core: Core) -> None:
         self.filter, self.core = core.filter, core
         self.predict, self.update = self.filter.predict, self.filter.update
-        shape = (core.batch, len(core.time), len(core.scenario.motion.states))
+        shape = (core.batch, core.time.shape[-1], len(core.scenario.motion.states))
         self.mean = np.full(shape, np.nan)
         self.run: Callable = self.filter.run
 

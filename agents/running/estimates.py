@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kfenv.models.yardstick import Yardstick
 from kfenv.scenarios.measured import measured_positions
 from kfenv.scenarios.recording import Whole
 
@@ -31,8 +32,8 @@ class Estimates:
         nis: (K,) NaN where nothing arrived.
         channels: (K,) how many arrived.
         factors: (K, F) of the knobs.
-        truth: (K, 3) true positions in the state's frame, NaN where they are not known.
-        measured: (K, 3) measured ones, east, north and up of the origin, NaN likewise.
+        truth: (K, n) true states, NaN where what is scored of them is not known.
+        measured: (K, 3) measured positions, east, north and up of the origin, NaN likewise.
         knobs: names of the F that were turned; none of a filter that turns none.
         ended: why the filter stopped before the log did, a sentence each time.
     """
@@ -53,14 +54,24 @@ class Estimates:
     ended: tuple[str, ...]
 
     @property
-    def position(self) -> Array:
-        """(K, 3) in the state's frame."""
-        return self.mean[:, list(self.scenario.motion.position)]
+    def has_position(self) -> bool:
+        """Whether what is scored is a position, which has a map."""
+        return self.scenario.yardstick == Yardstick.position(self.scenario.motion)
 
     @property
     def error(self) -> Array:
-        """Distance (K,) to the truth, m, NaN where that is not known."""
-        return np.linalg.norm(self.position - self.truth, axis=1)
+        """What the yardstick says of the estimate (K,), NaN where the truth is not known."""
+        return np.linalg.norm(self.scenario.yardstick.off(self.mean, self.truth), axis=1)
+
+    @property
+    def position(self) -> Array:
+        """(K, 3) in the state's frame."""
+        return self.scenario.yardstick.values(self.mean)
+
+    @property
+    def true_position(self) -> Array:
+        """(K, 3) in the state's frame."""
+        return self.scenario.yardstick.values(self.truth)
 
     @property
     def spread(self) -> Array:
@@ -93,6 +104,7 @@ class Estimates:
             "instants": len(self.mean),
             "measurements": int(arrived.sum()),
             "nis": float(np.nansum(self.nis) / max(1, self.channels[~np.isnan(self.nis)].sum())),
+            "unit": self.scenario.yardstick.unit,
             "rmse": float(np.sqrt(np.mean(known**2))) if len(known) else None,
             "ended": list(self.ended),
         }
@@ -105,10 +117,9 @@ def estimates(
     """Lay what a filter said at K instants beside the T >= K that it was to go through."""
     recording, count = whole.recording, len(mean)
     arrived = (~np.isnan(recording.measurement[0, :count])).sum(axis=1)
-    place = list(scenario.motion.position)
-    truth = np.full((count, 3), np.nan)
+    truth = np.full(mean.shape, np.nan)
     if recording.truth is not None:
-        truth = recording.truth[0, :count][:, place].copy()
+        truth = recording.truth[0, :count].copy()
         if recording.scored is not None:
             truth[recording.scored[0, :count] == 0.0] = np.nan
     measured = measured_positions(scenario.sensor, recording.measurement[0, :count])

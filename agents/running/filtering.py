@@ -59,7 +59,7 @@ def filtered(
         raise ValueError(
             f"The agent {agent.name!r} is shown what nobody knows of a real log: name another."
         )
-    origin = whole.recording.mean[0][list(scenario.motion.position)]
+    origin = scenario.yardstick.values(whole.recording.mean[0])
     runs: list[Estimates] = []
     while whole is not None and len(runs) < MOST_BEGINS:
         runs.append(_run(agent, scenario, options, whole, origin, seed))
@@ -157,12 +157,14 @@ def _by_itself(
     history = agent.filter(scenario, options, told)
     status, count = int(history.status[0]), told.time.shape[-1]
     count = count if status == OK else int(history.failed_at[0])
-    deviation = np.sqrt(sum(history.covariance[0, :count, i, i] for i in scenario.motion.position))
     run = estimates(
         scenario, whole, origin, history.mean[0, :count], history.covariance[0, :count],
         history.nis[0, :count], (), np.empty((count, 0)),
     )  # fmt: skip
-    away = np.where(np.isnan(run.error), deviation, run.error)
+    away = run.error
+    if run.has_position:
+        deviation = np.sqrt(np.trace(run.spread, axis1=1, axis2=2))
+        away = np.where(np.isnan(away), deviation, away)
     lost = np.flatnonzero(away > scenario.lost_distance)
     if len(lost):
         return _until(run, int(lost[0]) + 1, _reason(OK, scenario, run.time[lost[0]]))
@@ -185,6 +187,6 @@ def _reason(status: int, scenario: Any, time: float) -> str:
         return f"The filter failed after t = {time:.10g} s: {FAILURES[status]}."
     return (
         f"The track was lost at t = {time:.10g} s: its error, or the deviation that the filter "
-        f"tells, passed {scenario.lost_distance:g} m, or innovations were a hundred times as large "
-        "as it expects."
+        f"tells, passed {scenario.lost_distance:g} {scenario.yardstick.unit}, or innovations were "
+        "a hundred times as large as it expects."
     )

@@ -26,9 +26,11 @@ def geodetic_tracks(run: Estimates, rows: NDArray[np.int64]) -> list[Track]:
     Args:
         rows: indices of the instants.
     """
+    if not run.has_position:
+        return []
     parts = [("estimate", run.position, rows[part]) for part in run.stretches(rows)]
     tracks: list[Track] = []
-    for name, position, part in (*parts, ("truth", run.truth, rows)):
+    for name, position, part in (*parts, ("truth", run.true_position, rows)):
         part = part[np.isfinite(position[part]).all(axis=1)]
         told = run.scenario.geodetic(position[part])
         if told is not None and len(part) > 1:

@@ -32,7 +32,7 @@ def draw_map(run: Estimates, rows: NDArray[np.int64], title: str, path: Path) ->
     """
     estimate, spread = run.local(run.position[rows]), run.spread[rows]
     time = run.time[rows] - run.time[0]
-    truth = run.local(run.truth[rows])
+    truth = run.local(run.true_position[rows])
     seen = np.flatnonzero(np.isfinite(run.measured).all(axis=1))
     seen = seen[:: max(1, len(seen) // DOTS)]
     measured = run.measured[seen]
@@ -73,6 +73,26 @@ def draw_map(run: Estimates, rows: NDArray[np.int64], title: str, path: Path) ->
     save(figure, path)
 
 
+def draw_series(run: Estimates, rows: NDArray[np.int64], title: str, path: Path) -> None:
+    """Write a figure of what is scored over time, where that is no position; as `draw_map`."""
+    yardstick, time = run.scenario.yardstick, run.time[rows]
+    roots = np.linalg.cholesky(run.covariance[rows])
+    along = yardstick.rows(run.mean[rows], roots)
+    deviation = np.sqrt(np.sum(along**2, axis=2))
+    values, truth = (yardstick.values(states[rows]) for states in (run.mean, run.truth))
+    figure = Figure((9.0, 2.4 * len(yardstick) + 0.8), layout="constrained")
+    panels = figure.subplots(len(yardstick), sharex=True, squeeze=False)[:, 0]
+    for i, (axes, component) in enumerate(zip(panels, yardstick.components, strict=True)):
+        _band(axes, time, values[:, i], deviation[:, i])
+        axes.plot(time, truth[:, i], color=COLOURS[0], lw=1.2, zorder=2)
+        axes.set_ylabel(f"{component.name}, {component.unit}")
+        _view_of_height(axes, values[:, i], deviation[:, i])
+        clean(axes)
+    panels[0].set_title(title, loc="left", fontsize=10)
+    panels[-1].set_xlabel("time, s")
+    save(figure, path)
+
+
 def _ellipses(axes: Axes, estimate: Array, spread: Array, scale: float) -> None:
     """Where the target is with 95 %, at some instants that lie apart."""
     label, drawn = "95 %", np.full(2, np.inf)
@@ -97,9 +117,9 @@ def _band(axes: Axes, time: Array, up: Array, deviation: Array) -> None:
 
 def _view_of_height(axes: Axes, up: Array, deviation: Array) -> None:
     """Show all but what a vague begin or a gap would add."""
-    usual = 3.0 * BAND * float(np.median(deviation))
     low, high = np.percentile(up, WILD)
-    axes.set_ylim(low - usual - 0.1 * (high - low) - 1.0, high + usual + 0.1 * (high - low) + 1.0)
+    beyond = 3.0 * BAND * float(np.median(deviation)) + 0.1 * (high - low) + 1e-9
+    axes.set_ylim(low - beyond, high + beyond)
 
 
 def _view(

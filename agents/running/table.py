@@ -37,7 +37,7 @@ def write_table(run: Estimates, rows: NDArray[np.int64], path: Path) -> None:
     columns |= {f"knob_{name}": run.factors[:, i] for i, name in enumerate(run.knobs)}
     columns |= {"nis": run.nis, "channels": run.channels}
     if np.isfinite(run.error).any():
-        columns["error_m"] = run.error
+        columns[f"error_{run.scenario.yardstick.unit}"] = run.error
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
@@ -49,7 +49,7 @@ def write_table(run: Estimates, rows: NDArray[np.int64], path: Path) -> None:
 
 def _places(run: Estimates) -> dict[str, Array]:
     """Latitude, longitude and height, where the frame has a place on Earth."""
-    told = run.scenario.geodetic(run.position)
+    told = run.scenario.geodetic(run.position) if run.has_position else None
     return {} if told is None else dict(zip(PLACE, told.T, strict=True))
 
 

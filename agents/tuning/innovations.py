@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kfenv.envs.loop import make_filter
 from kfenv.envs.options import Options
-from kfenv.filters.protocol import Knobs, measured
+from kfenv.filters.protocol import Knobs, elapsed, measured
 from kfenv.filters.results import OK, Prediction, Update
 from kfenv.scenarios.recording import Recording
 
@@ -47,13 +47,13 @@ def instants(
     left, noise = (np.repeat(array, episodes, axis=0) for array in (left, noise))
     mean, factor = (np.concatenate([x] * settings) for x in (recording.mean, recording.factor))
     status, knobs = np.zeros(len(left), np.int64), Knobs.nominal(len(left))
-    dt = np.diff(recording.time, prepend=recording.time[0])
-    for t in range(len(recording.time)):
+    dt = np.concatenate([elapsed(recording)] * settings)
+    for t in range(dt.shape[1]):
         if t == 0:
             prediction = Prediction(mean, factor, np.zeros_like(factor))
         else:
             inputs = np.concatenate([recording.motion_inputs[:, t]] * settings)
-            prediction = tier.predict(mean, factor, inputs, np.full(len(left), dt[t]), status)
+            prediction = tier.predict(mean, factor, inputs, dt[:, t].copy(), status)
             prediction = prediction._replace(noise=left @ prediction.noise)
         arrived = measured(recording, t)
         arrived = type(arrived)(*(np.concatenate([array] * settings) for array in arrived))

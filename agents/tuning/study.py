@@ -200,7 +200,7 @@ def matrices(shape: NoiseShape, tuning: Recording, theta: Array) -> dict[str, An
     ])  # fmt: skip
     factor = left @ initial_noise_factor(shape.scenario, tuning)[0]  # of the first window
     return {
-        "dt": float(tuning.time[1] - tuning.time[0]),
+        "dt": float(tuning.times[0, 1] - tuning.times[0, 0]),
         "states": [f"{s.name} ({s.unit})" for s in shape.scenario.motion.states],
         "channels": [f"{c.name} ({c.unit})" for c in shape.scenario.sensor.channels],
         "Q": (factor @ factor.T).tolist(),

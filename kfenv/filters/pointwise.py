@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kfenv.filters import pointwise_kernel as kernel
-from kfenv.filters.protocol import Episodes, Knobs, Measurement, measured
+from kfenv.filters.protocol import Episodes, Knobs, Measurement, elapsed, measured
 from kfenv.filters.results import (
     BAD_INNOVATION,
     BAD_PREDICTION,
@@ -128,7 +128,7 @@ class PointwiseFilter:
         factor = np.array(episodes.factor)
         prediction = Prediction(np.array(episodes.mean), factor, np.zeros_like(factor))
         blame(status, BAD_PREDICTION, *prediction)
-        dt = np.diff(episodes.time, prepend=episodes.time[:1])
+        dt = elapsed(episodes)
         for t in range(steps):
             told = self.update(prediction, knobs, measured(episodes, t), status)
             failed_at[(status != OK) & (failed_at < 0)] = t
@@ -136,8 +136,8 @@ class PointwiseFilter:
             means[sound, t], nis[sound, t] = told.mean[sound], told.nis[sound]
             if t + 1 < steps:
                 known = np.ascontiguousarray(episodes.motion_inputs[:, t + 1])
-                elapsed = np.full(size, dt[t + 1])
-                prediction = self.predict(told.mean, told.factor, known, elapsed, status)
+                passed = dt[:, t + 1].copy()
+                prediction = self.predict(told.mean, told.factor, known, passed, status)
                 failed_at[(status != OK) & (failed_at < 0)] = t + 1
         return Run(means, nis, status, failed_at)
 
