@@ -102,7 +102,7 @@ def _ellipses(axes: Axes, estimate: Array, spread: Array, scale: float) -> None:
         if np.linalg.norm(estimate[row, :2] - drawn) < 0.5 * depth:
             continue  # it would cover the one before
         drawn, angle = estimate[row, :2], np.degrees(np.arctan2(axes_of[1, 0], axes_of[0, 0]))
-        axes.add_patch(Ellipse(drawn / scale, width / scale, depth / scale, angle=angle, zorder=4,
+        axes.add_patch(Ellipse(drawn / scale, width / scale, depth / scale, angle=angle, zorder=2.2,
                                fc=COLOURS[2], ec=COLOURS[4], lw=0.6, alpha=0.25,
                                label=label))  # fmt: skip
         label = None
