@@ -187,6 +187,17 @@ C_POLICIES = {
     "each of what is scored has a scale": lambda path: trained_on(
         path, OWN, "mlp-log-factors", observation="full", **short(OWN, **SCALED)
     ),
+    "knobs of single channels": lambda path: trained_on(
+        path, GNSS, observation="full", actions=["fading", "channel_noise"], **short(GNSS)
+    ),
+    "knobs of single channels, curved": lambda path: trained_on(
+        path,
+        VALIDATION,
+        "mlp-log-factors",
+        actions=["fading", "channel_noise"],
+        **short(VALIDATION),
+    ),
+    "one network for all satellites": by_channel,
     "many channels": lambda path: trained_on(path, GNSS, observation="full", **short(GNSS)),
 }
 
@@ -359,12 +370,6 @@ def test_what_cannot_be_exported_is_told(arguments, said, tmp_path):
     assert result.exit_code == 2
     assert said in result.output
     assert not (tmp_path / "out").exists()
-
-
-def test_c_tells_what_it_cannot(tmp_path):
-    policy = trained_on(tmp_path / "policy.npz", GNSS, **short(GNSS, **BY_CHANNEL))
-    with pytest.raises(ValueError, match="has no features of single channels' knobs"):
-        export_policy(Deployable.find(str(policy)), "c", tmp_path / "out")
 
 
 def test_a_policy_that_fits_no_environment_is_told(tmp_path):

@@ -8,14 +8,14 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from kfenv.envs import memory, statistics
-from kfenv.envs.channels import AXES
+from kfenv.envs import channels, memory, statistics
 from kfenv.envs.loop import Loop
 from kfenv.envs.options import FULL
 from kfenv.models.yardstick import Yardstick
 
+from ..contestants.channelwise import ChannelwiseNetwork
 from ..contestants.networks import MOST_DEVIATIONS, ActionNetwork, FactorNetwork
 from .deployable import Deployable
 from .golden import Golden, Instant, golden
@@ -33,18 +33,8 @@ PER_LINE = 8  # numbers
 
 
 def c_files(deployable: Deployable) -> dict[str, str]:
-    """The texts of the files, by name.
-
-    Raises:
-        ValueError: for a policy that turns the knobs of single channels.
-    """
+    """The texts of the files, by name."""
     loop, network = deployable.loop, deployable.policy.network
-    single = {channel.name for channel in loop.scenario.sensor.channels}
-    if single & {knob.name for knob in loop.knobs}:
-        raise ValueError(
-            "The C export has no features of single channels' knobs, and this policy turns some: "
-            "export it as onnx."
-        )
     parts = _perceptron(network) if isinstance(network, ActionNetwork) else _factors(network)
     known = _sizes(deployable) | _words(deployable) | _constants(loop) | parts
     return {
@@ -68,11 +58,13 @@ def _sizes(deployable: Deployable) -> dict[str, Any]:
         "GROUPS": len(sensor.groups),
         "RATES": rates,
         "ACCELERATIONS": len(memory.accelerations(loop.scenario.motion)) if rates else 0,
+        "SINGLE": len(_single(loop)),
         "FEATURES": policy.observation_size,
         "MEMORY": policy.network.memory_size,
         "KNOBS": policy.action_size,
         "INTERVAL": loop.interval,
         "WHITENED_WINDOWS": len(statistics.WINDOWS),
+        "BESIDE_WINDOWS": len(channels.WINDOWS),
         "SIGNED_WINDOWS": len(memory.SIGNED),
         "SQUARE_WINDOWS": len(memory.SQUARES),
         "RATIO_WINDOWS": len(memory.RATIOS),
@@ -82,9 +74,9 @@ def _sizes(deployable: Deployable) -> dict[str, Any]:
 def _words(deployable: Deployable) -> dict[str, str]:
     loop, policy = deployable.loop, deployable.policy
     places = ", ".join(f"KFENV_{_identifier(knob.name)}" for knob in loop.knobs)
-    channels = ", ".join(f"{c.name} ({c.unit})" for c in loop.scenario.sensor.channels)
+    names = ", ".join(f"{c.name} ({c.unit})" for c in loop.scenario.sensor.channels)
     about = f"Trained on {policy.env_id}, digest {policy.digest[:16]}."
-    told = {"ABOUT": about, "KNOB_PLACES": places, "CHANNEL_NAMES": channels}
+    told = {"ABOUT": about, "KNOB_PLACES": places, "CHANNEL_NAMES": names}
     return told | _words_of_yardstick(loop.yardstick, [s.name for s in loop.scenario.motion.states])
 
 
@@ -110,7 +102,7 @@ def _constants(loop: Loop) -> dict[str, Any]:
     low, high = np.log([[knob.low, knob.high] for knob in loop.knobs]).T
     return {
         "FULL": int(loop.options.observation == FULL),
-        "AXES": AXES,
+        "AXES": channels.AXES,
         "BOUND": _number(statistics.BOUND),
         "MOST": _number(memory.MOST),
         "ERROR_SCALE": _number(loop.scenario.error_scale),
@@ -118,7 +110,9 @@ def _constants(loop: Loop) -> dict[str, Any]:
         "PRODUCTS": _number(memory.PRODUCTS),
         "GROUP_OF": ", ".join(map(str, sensor.group_of_channel)),
         "SIZE_OF": ", ".join(map(str, np.bincount(sensor.group_of_channel))),
+        "CHOSEN": ", ".join(map(str, _single(loop))),
         "WHITENED": _numbers(statistics.WINDOWS),
+        "BESIDE": _numbers(channels.WINDOWS),
         "SIGNED": _numbers(memory.SIGNED),
         "SQUARES": _numbers(memory.SQUARES),
         "RATIOS": _numbers(memory.RATIOS),
@@ -127,14 +121,29 @@ def _constants(loop: Loop) -> dict[str, Any]:
     }
 
 
-def _factors(network: FactorNetwork) -> dict[str, str]:
-    """Arrays and code of a network of log factors."""
-    named = {name: array for name, array in vars(network).items() if isinstance(array, np.ndarray)}
-    named |= {"least": named.pop("log_low"), "most": named.pop("log_high")}
-    named |= {} if network.gru is None else vars(network.gru)
-    cut = f"#define CUT ((real){_number(MOST_DEVIATIONS)})\n\n"
-    arrays = "".join(_array(name, array) for name, array in named.items())
-    arrays = f"#define HIDDEN {network.bias_in.size}\n{cut}{arrays}"
+def _factors(network: FactorNetwork | ChannelwiseNetwork) -> dict[str, str]:
+    """Arrays and code of a network of log factors, or of one that looks at several sets."""
+    if isinstance(network, ChannelwiseNetwork):
+        each, inputs, outputs = network.each, network.inputs, network.outputs
+    else:
+        each = network
+        inputs, outputs = np.arange(each.observation_size), np.arange(each.action_size)
+        inputs, outputs = inputs[None], outputs[None]
+    own = ("log_low", "log_high", "knob_low", "knob_high")
+    named = {name: array for name, array in vars(each).items() if isinstance(array, np.ndarray)}
+    named = {name: array for name, array in named.items() if name not in own}
+    named |= {"least": each.log_low, "most": each.log_high}
+    named |= {"knob_low": network.knob_low, "knob_high": network.knob_high}
+    named |= {} if each.gru is None else vars(each.gru)
+    sizes = {
+        "HIDDEN": each.bias_in.size, "KEPT": each.memory_size, "SETS": len(inputs),
+        "SEEN": each.observation_size, "ASKED": each.action_size,
+        "CUT": f"((real){_number(MOST_DEVIATIONS)})",
+    }  # fmt: skip
+    arrays = "".join(f"#define {name} {size}\n" for name, size in sizes.items()) + "\n"
+    arrays += _places("inputs", "SEEN", inputs) + _places("outputs", "ASKED", outputs)
+    named["askers"] = np.bincount(outputs.ravel())
+    arrays += "".join(_array(name, array) for name, array in named.items())
     return {"ARRAYS": arrays, "NETWORK": _filled("factor_network.c", {})}
 
 
@@ -179,6 +188,11 @@ def _table(name: str, width: str, rows: Iterable[ArrayLike]) -> str:
     return f"static const double {name}[GOLDEN_STEPS][{width}] = {{\n{body},\n}};\n\n"
 
 
+def _places(name: str, width: str, rows: NDArray[np.int64]) -> str:
+    body = ",\n".join(f"    {{{', '.join(map(str, row))}}}" for row in rows)
+    return f"static const int {name}[SETS][{width}] = {{\n{body},\n}};\n\n"
+
+
 def _array(name: str, array: ArrayLike) -> str:
     """A constant array, a matrix row by row."""
     numbers = [f"{_number(value)}f" for value in np.asarray(array, np.float32).ravel()]
@@ -201,6 +215,13 @@ def _number(value: Any) -> str:
         return "NAN"
     text = str(value) if isinstance(value, np.floating) else str(np.float64(value))
     return text if any(sign in text for sign in ".e") else f"{text}.0"
+
+
+def _single(loop: Loop) -> list[int]:
+    """The channels that have a knob of their own, in the order of the knobs."""
+    names, knobs = ([part.name for part in parts] for parts in (
+        loop.scenario.sensor.channels, loop.knobs))  # fmt: skip
+    return [names.index(name) for name in knobs if name in names]
 
 
 def _identifier(name: str) -> str:

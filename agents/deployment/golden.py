@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kfenv.envs import memory
+from kfenv.envs.channels import Channels
 from kfenv.envs.loop import Loop
 from kfenv.filters.protocol import Measurement, measured
+from kfenv.filters.results import Update
 from kfenv.models.namespaces import batch
 from kfenv.scenarios.recording import Recording
 
@@ -49,8 +51,8 @@ def golden(deployable: Deployable) -> Golden:
 
     Features, network and knobs in double precision, so that other arithmetic can be compared.
     """
-    loop, network = deployable.loop, deployable.policy.network
-    recording = _episode(deployable)
+    network, recording = deployable.policy.network, _episode(deployable)
+    loop = Loop(deployable.loop.scenario, deployable.loop.options, 1, ExactChannels)
     times = recording.time
     first = times[1] - times[0]
     loop.begin(np.zeros(1, np.int64), recording.mean, recording.factor)
@@ -96,8 +98,13 @@ def _instant(loop: Loop, arrived: Measurement, dt: float, origin: Array) -> Inst
     rates = list(yardstick.rates)
     rate_weight = weight[: len(rates)]
     turns = memory.accelerations(loop.scenario.motion) if rates else []
+    channels, n = loop.scenario.sensor.channels, len(mean)
+    covariance = exact_covariance(
+        loop.scenario.sensor.build(batch), np.array([channel.angle for channel in channels]),
+        np.sqrt(n + loop.options.kappa), pending, arrived,
+    )  # fmt: skip
     return Instant(
-        pending.innovation[0], innovation_covariance(loop, arrived), arrived.noise[0], dt,
+        pending.innovation[0], covariance, arrived.noise[0], dt,
         np.linalg.norm(weight[:, None] * yardstick.rows(mean, factor)),
         np.linalg.norm(rate_weight[:, None] * factor[rates]),
         np.linalg.norm(weight * (yardstick.values(mean) - origin)),
@@ -105,25 +112,39 @@ def _instant(loop: Loop, arrived: Measurement, dt: float, origin: Array) -> Inst
     )  # fmt: skip
 
 
-def innovation_covariance(loop: Loop, arrived: Measurement) -> Array:
+class ExactChannels(Channels):
+    """Channels whose innovations have the covariance that a filter tells, curvature included.
+
+    The environments neglect that of a channel with another.
+    """
+
+    def covariances(
+        self, pending: Update, told: Measurement, missing: NDArray[np.bool_], heard: NDArray
+    ) -> Array:
+        """See `Channels.covariances`; of a single filter."""
+        exact = exact_covariance(self._measure, self._angle, self._spread, pending, told)
+        present = ~missing[0]
+        return (exact * np.outer(present, present))[None]
+
+
+def exact_covariance(
+    measure: Any, angle: NDArray[np.bool_], spread: float, pending: Update, told: Measurement
+) -> Array:
     """The covariance (m, m) of a single filter's pending innovation, by its sigma points.
 
     Of channels that are missing it tells what it would be.
+
+    Args:
+        measure, angle, spread: as for `kfenv.envs.channels.innovation_covariance`.
+        pending, told: of one filter.
     """
-    sensor, kappa = loop.scenario.sensor, loop.options.kappa
-    mean, factor = loop.pending.mean[0], loop.pending.factor[0]
+    mean, factor = pending.mean[0], spread * pending.factor[0]
     n = len(mean)
-    spread = np.sqrt(n + kappa) * factor
-    points = np.concatenate([mean[:, None], mean[:, None] + spread, mean[:, None] - spread], axis=1)
-    weight = np.append(kappa, np.full(2 * n, 0.5)) / (n + kappa)
-    seen = sensor.build(batch)(tuple(points), tuple(arrived.inputs[0]))
+    points = np.concatenate([mean[:, None], mean[:, None] + factor, mean[:, None] - factor], axis=1)
+    weight = np.append(spread**2 - n, np.full(2 * n, 0.5)) / spread**2
+    seen = measure(tuple(points), tuple(told.inputs[0]))
     off = np.stack([np.broadcast_to(z, points.shape[1:]) for z in seen])
-    off = _wrapped(off - off[:, :1], sensor)
-    off = off - (off @ weight)[:, None]
-    return (off * weight) @ off.T + np.diag(arrived.noise[0] ** 2)
-
-
-def _wrapped(off: Array, sensor: Any) -> Array:
-    angle = [channel.angle for channel in sensor.channels]
+    off = off - off[:, :1]
     off[angle] = np.arctan2(np.sin(off[angle]), np.cos(off[angle]))
-    return off
+    off = off - (off @ weight)[:, None]
+    return (off * weight) @ off.T + np.diag(told.noise[0] ** 2)

@@ -56,10 +56,7 @@ class Channels:
         heard = np.flatnonzero(active & ~missing.all(axis=1))
         if not len(heard):
             return
-        self.covariance[heard] = innovation_covariance(
-            self._measure, self._angle, self._spread, *(x[heard] for x in (
-                pending.mean, pending.factor, told.inputs, pending.variance, told.noise, missing)),
-        )  # fmt: skip
+        self.covariance[heard] = self.covariances(pending, told, missing, heard)
         residual, deviation = beside_others(pending.innovation[heard], self.covariance[heard])
         self._beside[heard] = residual / deviation
         arrived, value = ~np.isnan(self._beside), np.nan_to_num(self._beside)
@@ -67,6 +64,15 @@ class Channels:
         step = (value[..., None] - self._mean) / np.array(WINDOWS)
         self._mean += np.where(arrived[..., None], step, 0.0)
         self._square += np.where(arrived, (value**2 - self._square) / WINDOWS[0], 0.0)
+
+    def covariances(
+        self, pending: Update, told: Measurement, missing: NDArray[np.bool_], heard: NDArray
+    ) -> Array:
+        """Of the innovations (H, m, m) at the places heard, see `innovation_covariance`."""
+        return innovation_covariance(
+            self._measure, self._angle, self._spread, *(x[heard] for x in (
+                pending.mean, pending.factor, told.inputs, pending.variance, told.noise, missing)),
+        )  # fmt: skip
 
     def observe(self, pends: NDArray[np.bool_]) -> Array:
         """The features (B, K PER_CHANNEL) of the exposed channels."""

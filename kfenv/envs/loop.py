@@ -41,9 +41,12 @@ class Loop:
         scenario: gives motion, sensor and scales.
         options: of the environment.
         batch: B.
+        channels: what tells of single channels.
     """
 
-    def __init__(self, scenario: Any, options: Options, batch: int) -> None:
+    def __init__(
+        self, scenario: Any, options: Options, batch: int, channels: type[Channels] = Channels
+    ) -> None:
         self.scenario, self.options, self.batch = scenario, options, batch
         motion, sensor = scenario.motion, scenario.sensor
         self.filter = make_filter(scenario, options)
@@ -53,7 +56,7 @@ class Loop:
         self._rates = lines_of(places, [place + 1 for place in places], [False] * len(places))
         self._group = np.array(sensor.group_of_channel)
         self.interval = options.decision_interval or scenario.steps_per_measurement
-        self._prepare_knobs(sensor)
+        self._prepare_knobs(sensor, channels)
         n, m = len(motion.states), len(sensor.channels)
         self._prediction = Prediction(np.zeros((batch, n)), *np.zeros((2, batch, n, n)))
         self._pending = _empty_update(batch, n, m)
@@ -66,7 +69,7 @@ class Loop:
         self.factors = np.ones((batch, len(self._all_knobs)))
         self.observation_size = len(self.feature_names())
 
-    def _prepare_knobs(self, sensor: Sensor) -> None:
+    def _prepare_knobs(self, sensor: Sensor, channels: type[Channels]) -> None:
         options, names = self.options, [channel.name for channel in sensor.channels]
         motion = self.scenario.motion
         shared = knobs_of(sensor.groups, options.mixture, options.most_fading, motion.groups)
@@ -83,7 +86,7 @@ class Loop:
         single = self.knob_place[self.knob_place >= len(shared)] - len(shared)
         self._channels = self._memory = None
         if len(single):
-            self._channels = Channels(self.scenario, single, self.batch, options.kappa)
+            self._channels = channels(self.scenario, single, self.batch, options.kappa)
         if options.observation == FULL:
             self._memory = Memory(self.scenario, single, self.batch)
 

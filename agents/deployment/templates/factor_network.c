@@ -1,4 +1,8 @@
-/* From the observation to the logarithms of the factors, and to the action that sets them. */
+/* From the observation to the logarithms of the factors, and to the action that sets them.
+ *
+ * One network looks at each set of features, with a memory for each; what is asked of a knob
+ * more than once counts in the mean.
+ */
 
 static void squash(real *x, int count)
 {
@@ -23,29 +27,39 @@ static void recur(const real *x, real *memory)
 }
 #endif
 
-static void decide(kfenv_state *state)
+static void ask(kfenv_state *state, int set, real logs[ASKED])
 {
-    real z[KFENV_FEATURES], x[KFENV_MEMORY + HIDDEN], y[HIDDEN], logs[KFENV_KNOBS];
-    real *first = x + KFENV_MEMORY;
-    for (int i = 0; i < KFENV_FEATURES; i++) {
-        z[i] = (real)((state->observation[i] - mean[i]) / deviation[i]);
+    real z[SEEN], x[KEPT + HIDDEN], y[HIDDEN];
+    for (int i = 0; i < SEEN; i++) {
+        z[i] = (real)((state->observation[inputs[set][i]] - mean[i]) / deviation[i]);
         z[i] = z[i] > CUT ? CUT : z[i] < -CUT ? -CUT : z[i];
     }
-    affine(z, KFENV_FEATURES, weight_in, bias_in, HIDDEN, first);
-    squash(first, HIDDEN);
+    affine(z, SEEN, weight_in, bias_in, HIDDEN, x + KEPT);
+    squash(x + KEPT, HIDDEN);
 #if KFENV_MEMORY
-    for (int i = 0; i < HIDDEN; i++)
-        x[i] = (real)state->memory[i];
-    recur(first, x);
-    for (int i = 0; i < HIDDEN; i++)
-        state->memory[i] = x[i];
+    double *memory = state->memory + set * KEPT;
+    for (int i = 0; i < KEPT; i++)
+        x[i] = (real)memory[i];
+    recur(x + KEPT, x);
+    for (int i = 0; i < KEPT; i++)
+        memory[i] = x[i];
 #endif
-    affine(x, KFENV_MEMORY + HIDDEN, weight_mid, bias_mid, HIDDEN, y);
+    affine(x, KEPT + HIDDEN, weight_mid, bias_mid, HIDDEN, y);
     squash(y, HIDDEN);
-    affine(y, HIDDEN, weight_out, bias_out, KFENV_KNOBS, logs);
-    for (int k = 0; k < KFENV_KNOBS; k++) {
-        double value = logs[k];
-        value = value > most[k] ? most[k] : value < least[k] ? least[k] : value;
-        state->action[k] = value >= 0.0 ? value / knob_high[k] : value / -knob_low[k];
+    affine(y, HIDDEN, weight_out, bias_out, ASKED, logs);
+    for (int j = 0; j < ASKED; j++)
+        logs[j] = logs[j] > most[j] ? most[j] : logs[j] < least[j] ? least[j] : logs[j];
+}
+
+static void decide(kfenv_state *state)
+{
+    double wanted[KFENV_KNOBS] = {0.0};
+    real logs[ASKED];
+    for (int set = 0; set < SETS; set++) {
+        ask(state, set, logs);
+        for (int j = 0; j < ASKED; j++)
+            wanted[outputs[set][j]] += logs[j] / askers[outputs[set][j]];
     }
+    for (int k = 0; k < KFENV_KNOBS; k++)
+        state->action[k] = wanted[k] >= 0.0 ? wanted[k] / knob_high[k] : wanted[k] / -knob_low[k];
 }

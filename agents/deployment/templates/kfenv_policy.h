@@ -14,6 +14,7 @@
 #define KFENV_GROUPS @GROUPS@ /* of channels */
 #define KFENV_RATES @RATES@ /* of what is scored, e.g. components of the velocity */
 #define KFENV_ACCELERATIONS @ACCELERATIONS@ /* that the filter's state holds */
+#define KFENV_SINGLE @SINGLE@ /* channels that have a knob of their own */
 #define KFENV_FEATURES @FEATURES@
 #define KFENV_MEMORY @MEMORY@ /* numbers that the policy keeps */
 #define KFENV_KNOBS @KNOBS@
@@ -53,6 +54,11 @@ typedef struct {
     double sign[KFENV_GROUPS][@SIGNED_WINDOWS@];
     double ratio[KFENV_GROUPS][@RATIO_WINDOWS@];
     double product[KFENV_GROUPS], first_told[KFENV_GROUPS], present[KFENV_GROUPS][4];
+#if KFENV_SINGLE
+    double beside[KFENV_SINGLE], beside_mean[KFENV_SINGLE][@BESIDE_WINDOWS@];
+    double beside_square[KFENV_SINGLE], alone_ratio[KFENV_SINGLE][@RATIO_WINDOWS@];
+    double alone_square[KFENV_SINGLE], share[KFENV_SINGLE];
+#endif
 #if KFENV_RATES
     double last_rate[KFENV_RATES], change[KFENV_RATES];
 #endif
