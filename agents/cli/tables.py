@@ -80,3 +80,17 @@ def _signed(error: float) -> str:
     if 0.0 < abs(error) < 0.05:
         return f"{error:+.2g}"
     return f"{error:+.0f}" if abs(error) >= 9.95 else f"{error:+.1f}"
+
+
+def seeds_table(summary: dict[str, Any], where: str) -> Table:
+    """A column per seed, and their median: what training with several seeds came to."""
+    seeds = summary["seeds"]
+    table = Table(
+        "of the seeds", "median", *(f"seed {seed}" for seed in seeds), box=SIMPLE_HEAD,
+        title=f"{len(seeds)} trainings on {where}",
+    )  # fmt: skip
+    for figure, told in summary.items():
+        if figure != "seeds":
+            numbers = (told["median"], *told["each"])
+            table.add_row(figure.replace("_", " "), *(f"{number:.3g}" for number in numbers))
+    return table
