@@ -24,6 +24,7 @@ from kfenv.filters.engine import Engine
 from kfenv.filters.fingerprint import fingerprint
 from kfenv.filters.pointwise import PointwiseFilter
 from kfenv.filters.reference import ReferenceFilter
+from kfenv.filters.results import BAD_PREDICTION, OK
 from kfenv.models.model import Component, Sensor
 from kfenv.models.namespaces import batch, compiled, dual, lanes, scalar
 from kfenv.models.own import own_motion, own_sensor
@@ -195,6 +196,24 @@ def test_a_nonlinear_model_is_filterpys_unscented_filter():
         ukf.sigmas_f = ukf.points_fn.sigma_points(ukf.x, ukf.P)
         ukf.update(z)
         np.testing.assert_allclose(run.mean[0, t], ukf.x, atol=1e-8)
+
+
+def test_a_filter_that_fails_says_why_and_its_neighbours_do_not_notice():
+    def f(x, u, dt):
+        with np.errstate(invalid="ignore"):
+            return np.sqrt(4.0 - x) + x - np.sqrt(4.0 - x)
+
+    motion = own_motion(("a",), f, (1e-4,))
+    sensor = own_sensor(("a",), lambda x, s: x, 1)
+    z = np.ones((3, 20, 1)) * [[[1.0]], [[9.0]], [[1.5]]]
+    z[2, 5] = np.nan
+    recording = recording_of(DT * np.arange(20), z, (0.01,), np.ones((3, 1)), (0.5,))
+    run = PointwiseFilter(motion, sensor).run(recording)
+    assert run.status.tolist() == [OK, BAD_PREDICTION, OK] and run.failed_at[1] == 1
+    assert np.isnan(run.mean[1, 1:]).all()
+    alone = PointwiseFilter(motion, sensor).run(recording[[0, 2]])
+    np.testing.assert_array_equal(run.mean[[0, 2]], alone.mean)
+    np.testing.assert_array_equal(run.nis[[0, 2]], alone.nis)
 
 
 # ----- the environment ----------------------------------------------------------------
@@ -450,6 +469,12 @@ def test_a_mistake_in_a_function_is_one_sentence(f, words):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("h", [lambda x: x[:1], lambda x: np.array([x[0] + 1.0]), lambda x: 2 * x])
+def test_a_sensor_as_other_libraries_have_it_is_told_its_form(h):
+    with pytest.raises(ValueError, match=r"h .*of one argument is given the namespace.*h\(x, s\)"):
+        own_sensor(("a",), h, 2)
+
+
 def test_what_only_the_compiler_refuses_is_one_sentence_too():
     def f(xp):
         def half(value):  # lacks its decorator
@@ -461,13 +486,11 @@ def test_what_only_the_compiler_refuses_is_one_sentence_too():
 
         return step
 
-    motion, sensor = own_motion(("a",), f, (1.0,)), own_sensor(("a",), lambda xp: a_copy(xp), 1)
-    world = {"R": (1.0,), "mean": (0.0,), "P": (1.0,), "duration": 1.0, "rate": 10.0}
-    recording = simulate(motion, sensor, "none", **world)
-    with pytest.raises(
-        ValueError, match=r"cannot compile the model: 'half' .*@xp\.function"
-    ) as told:
-        Engine(motion, sensor).run(recording)
+    engine = Engine(own_motion(("a",), f, (1.0,)), own_sensor(("a",), a_copy, 1))
+    still, sound = np.zeros((1, 1)), np.zeros(1, np.int64)
+    words = r"cannot compile the model: 'half' .*@xp\.function"
+    with pytest.raises(ValueError, match=words) as told:
+        engine.predict(still, np.ones((1, 1, 1)), np.zeros((1, 0)), np.full(1, DT), sound)
     assert "\n" not in str(told.value)
 
 

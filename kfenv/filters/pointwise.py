@@ -15,19 +15,10 @@ from numpy.typing import NDArray
 
 from kfenv.filters import pointwise_kernel as kernel
 from kfenv.filters.protocol import Episodes, Knobs, Measurement, elapsed, measured
-from kfenv.filters.results import (
-    BAD_INNOVATION,
-    BAD_PREDICTION,
-    BAD_UPDATE,
-    OK,
-    Prediction,
-    Run,
-    Update,
-    blame,
-)
+from kfenv.filters.results import OK, Prediction, Run, Update
 from kfenv.models.model import Motion, Sensor
 from kfenv.models.namespaces import batch
-from kfenv.models.own import numpy_function
+from kfenv.models.own import constant_noise, numpy_function
 
 Array = NDArray[np.float64]
 Status = NDArray[np.int64]
@@ -53,6 +44,7 @@ class PointwiseFilter:
         self._measure = _on_points(sensor, sensor.build(batch))
         self._noise_factor = functions.noise_factor
         self._rows, self._columns = np.array(motion.noise_pattern, int).reshape(-1, 2).T
+        self._constant = constant_noise(motion)
         self._n, self._m = len(motion.states), len(sensor.channels)
         self._state_angles = np.array([state.angle for state in motion.states])
         self._channel_angles = np.array([channel.angle for channel in sensor.channels])
@@ -69,12 +61,21 @@ class PointwiseFilter:
         with np.errstate(all="ignore"):  # what fails is told by the status
             step = float(dt[0]) if np.all(dt == dt[0]) else np.repeat(dt, 2 * n + 1)
             moved = self._step(*self._points(mean, factor, inputs), step)
-            entries = self._noise_factor(tuple(mean.T), tuple(inputs.T), dt)
-        kernel.gather(moved, self._state_angles, self.kappa, result.mean, result.root)
-        for row, column, entry in zip(self._rows, self._columns, entries, strict=True):
-            result.noise[:, row, column] = entry
-        blame(status, BAD_PREDICTION, result.mean, result.root)
+            self._fill_noise(result.noise, mean, inputs, dt)
+        kernel.gather(
+            np.ascontiguousarray(moved), self._state_angles, self.kappa, result.mean, result.root,
+            status,
+        )  # fmt: skip
         return result
+
+    def _fill_noise(self, noise: Array, mean: Array, inputs: Array, dt: Array) -> None:
+        """Lower factors (B, n, n) of the process noise, so far zero."""
+        if self._constant is not None:
+            noise[:, self._rows, self._columns] = self._constant
+            return
+        entries = self._noise_factor(tuple(mean.T), tuple(inputs.T), dt)
+        for row, column, entry in zip(self._rows, self._columns, entries, strict=True):
+            noise[:, row, column] = entry
 
     def innovate(
         self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status
@@ -105,11 +106,8 @@ class PointwiseFilter:
         kernel.correct(
             np.ascontiguousarray(seen), np.ascontiguousarray(measurement.value),
             np.ascontiguousarray(measurement.noise), self._channel_angles, self._state_angles,
-            self.kappa, correct, *told,
+            self.kappa, correct, *told, status,
         )  # fmt: skip
-        arrived = ~np.isnan(measurement.value).all(axis=1)
-        blame(status, BAD_INNOVATION, np.where(arrived, told.nis, 0.0)[:, None])
-        blame(status, BAD_UPDATE if correct else BAD_PREDICTION, mean, factor)
         return told
 
     def _points(self, mean: Array, factor: Array, inputs: Array) -> tuple[Array, Array]:
@@ -127,7 +125,6 @@ class PointwiseFilter:
         means, nis = np.full((size, steps, self._n), np.nan), np.full((size, steps), np.nan)
         factor = np.array(episodes.factor)
         prediction = Prediction(np.array(episodes.mean), factor, np.zeros_like(factor))
-        blame(status, BAD_PREDICTION, *prediction)
         dt = elapsed(episodes)
         for t in range(steps):
             told = self.update(prediction, knobs, measured(episodes, t), status)

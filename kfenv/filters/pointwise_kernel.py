@@ -7,7 +7,10 @@ from math import floor, isnan, log, nan, pi, sqrt
 import numpy as np
 from numba import njit
 
+from kfenv.filters.results import BAD_INNOVATION, BAD_PREDICTION, BAD_UPDATE, OK
+
 TWO_PI = 2.0 * pi
+LARGEST = np.finfo(np.float64).max
 
 
 @njit(cache=True, error_model="numpy")
@@ -26,13 +29,15 @@ def scatter(mean, factor, spread, points):
 
 
 @njit(cache=True, error_model="numpy")
-def gather(values, angle, kappa, mean, root):
+def gather(values, angle, kappa, mean, root, status):
     """Mean and lower factor of what became of the sigma points, (n, B P)."""
     n = mean.shape[1]
     A = np.empty((n, 2 * n + 1))
     for b in range(mean.shape[0]):
         _centred(values, b, n, angle, kappa, mean[b], A)
         triangularise(A, root[b])
+        if status[b] == OK and not _finite(mean[b], root[b]):
+            status[b] = BAD_PREDICTION
 
 
 @njit(cache=True, error_model="numpy")
@@ -49,7 +54,7 @@ def add_noise(root, noise, fading, process_scale, factor):
 @njit(cache=True, error_model="numpy")
 def correct(
     seen, value, noise, channel_angle, state_angle, kappa, takes, mean, factor, innovation,
-    variance, whitened, nis, log_likelihood,
+    variance, whitened, nis, log_likelihood, status,
 ):  # fmt: skip
     """Innovation of each filter and, if it takes the measurement, its posterior in place.
 
@@ -74,6 +79,7 @@ def correct(
                 count += 1
         if count == 0:
             innovation[b], nis[b] = nan, nan
+            _blame(mean[b], factor[b], 0.0, takes, b, status)
             continue
         A[:, : 2 * n + 1], A[:, 2 * n + 1 :] = Z, 0.0
         for c in range(m):
@@ -88,9 +94,31 @@ def correct(
                 if state_angle[i]:
                     mean[b, i] = _wrapped(mean[b, i])
             _posterior_factor(K, Z, sd, factor[b], kappa)
+        _blame(mean[b], factor[b], nis[b], takes, b, status)
         for c in range(m):
             if isnan(value[b, c]):
                 innovation[b, c] = variance[b, c] = whitened[b, c] = nan
+
+
+@njit(error_model="numpy")
+def _blame(mean, factor, nis, takes, b, status):
+    """Say why a filter, so far sound, has failed, if it has."""
+    if status[b] != OK:
+        return
+    if not abs(nis) <= LARGEST:
+        status[b] = BAD_INNOVATION
+    elif not _finite(mean, factor):
+        status[b] = BAD_UPDATE if takes else BAD_PREDICTION
+
+
+@njit(error_model="numpy")
+def _finite(mean, factor):
+    total = 0.0
+    for i in range(len(mean)):
+        total += abs(mean[i])
+        for j in range(i + 1):
+            total += abs(factor[i, j])
+    return total <= LARGEST
 
 
 @njit(error_model="numpy")

@@ -103,6 +103,11 @@ def numpy_function(model: Motion | Sensor) -> NumpyFunction | None:
     return next((value for value in keywords.values() if isinstance(value, NumpyFunction)), None)
 
 
+def constant_noise(motion: Motion) -> tuple[float, ...] | None:
+    """The entries at ``Motion.noise_pattern`` of a motion whose Q is constant, None for others."""
+    return getattr(motion.build, "keywords", {}).get("entries")
+
+
 def _component(told: Component | str) -> Component:
     return told if isinstance(told, Component) else Component(str(told), "")
 

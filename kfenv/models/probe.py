@@ -104,6 +104,12 @@ def _explained(name: str, error: Exception, states: int, inputs: int) -> str:
     missing = re.search(r"module '.*namespaces\.\w+' has no attribute '(\w+)'", text)
     if missing:
         return f"{name}{where} asks the namespace for {missing[1]}, and it has {known}."
+    if "'module'" in text or "ModuleType" in text:
+        numpy = "f(x, u, dt)" if name == "f" else "h(x, s)"
+        return (
+            f"{name}{where} of one argument is given the namespace and makes the function; of "
+            f"plain NumPy it would be {numpy}."
+        )
     if "truth value" in text or "'>' not supp" in text or "'<' not supp" in text:
         return (
             f"{name}{where} branches on a component, which stands for many filters at once: take "
