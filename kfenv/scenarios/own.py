@@ -68,9 +68,8 @@ class OwnFilter(TrackingScenario):
             object.__setattr__(self, name, find_model(name, getattr(self, name), kind))
         if self.recording is not None:
             check_recorded(self.recording, self.motion, self.sensor)
-            time = self.recording.time
-            object.__setattr__(self, "duration", float(time[-1] - time[0]))
-            object.__setattr__(self, "rate", float(1.0 / np.median(np.diff(time))))
+            object.__setattr__(self, "duration", float(np.ptp(self.time)))
+            object.__setattr__(self, "rate", float(1.0 / np.median(np.diff(self.time))))
         super().__post_init__()
         probe_motion(self.motion)
         probe_sensor(self.sensor, len(self.motion.states))
@@ -103,8 +102,8 @@ class OwnFilter(TrackingScenario):
 
     @cached_property
     def time(self) -> Array:
-        """The instants of an episode, s."""
-        return super().time if self.recording is None else self.recording.time
+        """The instants of an episode, or of the recording's first, s."""
+        return super().time if self.recording is None else np.atleast_2d(self.recording.time)[0]
 
     # ----- what is scored -------------------------------------------------------------
 
