@@ -51,6 +51,19 @@ def _valid(content: Any) -> Any:
     return None if isinstance(content, float) and not isfinite(content) else content
 
 
+@contextmanager
+def blamed_on(path: Path, remedy: str) -> Iterator[None]:
+    """Say of a file whatever goes wrong with what it holds.
+
+    Raises:
+        ValueError: naming the file and the remedy.
+    """
+    try:
+        yield
+    except Exception as error:  # what is damaged can fail anywhere
+        raise ValueError(f"{path} is damaged ({type(error).__name__}): {remedy}.") from error
+
+
 def read_json(path: Path, kind: type[Content], remedy: str) -> Content:
     """The object or list (`kind`) in a JSON file.
 
@@ -66,19 +79,27 @@ def read_json(path: Path, kind: type[Content], remedy: str) -> Content:
     return content
 
 
-def read_arrays(path: Path, names: Sequence[str], remedy: str) -> dict[str, NDArray]:
+def read_arrays(
+    path: Path, names: Sequence[str], remedy: str, rows: int | None = None
+) -> dict[str, NDArray]:
     """Arrays of those names from a file of NumPy's.
+
+    Args:
+        rows: if given, each must hold numbers in so many rows.
 
     Raises:
         ValueError: if it is damaged, naming the remedy.
     """
-    try:
-        with np.load(path) as file:
-            return {name: file[name] for name in names}
-    except FileNotFoundError:
-        raise
-    except Exception as error:  # a damaged archive can fail in any of its readers
-        raise ValueError(f"{path} is damaged ({type(error).__name__}): {remedy}.") from error
+    with path.open("rb") as content, blamed_on(path, remedy), np.load(content) as file:
+        arrays = {name: file[name] for name in names}
+    for name, array in arrays.items():
+        numbers = array.dtype.kind in "biuf" and array.ndim > 0
+        if rows is not None and not (numbers and len(array) == rows):
+            raise ValueError(
+                f"{path} holds {name} of shape {array.shape} and type {array.dtype} where {rows} "
+                f"rows of numbers were expected: {remedy}."
+            )
+    return arrays
 
 
 @contextmanager

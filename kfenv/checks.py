@@ -7,6 +7,8 @@ from math import isfinite
 from numbers import Real
 from typing import Any
 
+LARGEST = 1e20  # what a file may tell: whatever is counted, it is less, and its square a number
+
 
 def is_number(value: object) -> bool:
     """Whether a value is one finite real number; True and False are none."""

@@ -1,4 +1,4 @@
-"""One way of saying that a name is unknown."""
+"""Words for complaints: that a name is unknown, and what a file holds in its place."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 
 LISTED = 12  # names that still make a sentence
+QUOTED = 60  # letters of a file that do
+UNPRINTABLE = "\N{REPLACEMENT CHARACTER}"
 
 
 def unknown(what: str, name: object, known: Iterable[str]) -> str:
@@ -22,3 +24,9 @@ def _listed(name: str, known: list[str]) -> str:
         return ", ".join(known)
     alike = get_close_matches(name, known, n=LISTED, cutoff=0.0)
     return f"{', '.join(alike)} and {len(known) - LISTED} others"
+
+
+def excerpt(text: str) -> str:
+    """The beginning of what a file holds, in one line of letters that can be printed."""
+    shown = "".join(letter if letter.isprintable() else UNPRINTABLE for letter in text[:QUOTED])
+    return shown if len(text) <= QUOTED else f"{shown} ..."

@@ -40,6 +40,7 @@ WRONG = [  # keyword argument of every environment, what must be said of it
     ({"duration": -3.0}, "-3.0"),
     ({"duration": NAN}, "nan"),
     ({"duration": "long"}, "'long'"),
+    ({"duration": 1e9}, "an episode has at most"),
     ({"rate": 0.5}, "rate must lie between 1 and 100"),
     ({"rate": 1000.0}, "1000.0"),
     ({"rate": "10"}, "rate"),

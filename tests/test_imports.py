@@ -32,6 +32,8 @@ MAY_IMPORT = {
     "kfenv.agents.running": AGENTS | {"kfenv.agents.contestants", "kfenv.agents.contest"},
     "kfenv.agents.reproduction": AGENTS,
     "kfenv.agents.tuning": AGENTS | {"kfenv.agents.contestants", "kfenv.agents.contest"},
+    "kfenv.agents.fuzzing": AGENTS
+    | {"kfenv.agents.contestants", "kfenv.agents.contest", "kfenv.agents.reproduction"},
 }
 MAY_IMPORT["kfenv.agents.cli"] = AGENTS | set(MAY_IMPORT)
 

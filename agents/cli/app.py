@@ -11,6 +11,7 @@ from .contest import evaluate
 from .demo import demo
 from .environments import envs
 from .export import export
+from .fuzz import fuzz
 from .inspect import inspect
 from .limit import limit
 from .outages import outages
@@ -44,4 +45,5 @@ app.command()(leaderboard)
 app.command()(reproduce)
 app.command()(claims)
 app.command()(bench)
+app.command()(fuzz)
 app.command()(demo)

@@ -10,7 +10,7 @@ from typing import Any
 from ..contestants.learned import Learned
 from ..contestants.registry import make_agent
 from ..executor import Workers
-from ..files import clear_partial, is_free, read_json, write_json
+from ..files import blamed_on, clear_partial, is_free, read_json, write_json
 from ..plain import plain
 from .blocks import play
 from .contest import Contest
@@ -172,12 +172,14 @@ def _admit(output: Path, contest: Contest, resume: bool) -> None:
             )
         remedy = "name another folder for the contest"
         held = read_json(path, dict, remedy) if path.exists() else {}
-        if not _continues(held, content):
+        with blamed_on(path, remedy):
+            continues = _continues(held, content)
+            content["policies"] = held.get("policies", {}) | content["policies"]
+        if not continues:
             raise ValueError(
                 f"The folder {output} holds another contest: name another folder, or repeat the "
                 "options that it was begun with."
             )
-        content["policies"] = held.get("policies", {}) | content["policies"]
     output.mkdir(parents=True, exist_ok=True)
     clear_partial(output)
     write_json(path, content)

@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..files import read_json, written_whole
+from ..files import blamed_on, read_json, written_whole
 from . import formatting
 from .suites import FLIGHT, IN_DISTRIBUTION, find_suite
 
 Results = list[dict[str, Any]]
+
+REMEDY = "give the command of the suite again, with --resume"
 
 
 def read_results(folder: Path) -> Results:
@@ -20,12 +22,17 @@ def read_results(folder: Path) -> Results:
         ValueError: if it wrote nothing there, or another version's episodes were met.
     """
     path = folder / "results.json"
-    remedy = "give the command of the suite again, with --resume"
-    results = read_json(path, list, remedy) if path.exists() else []
-    if not results or "suite" not in results[0]:
+    results = read_json(path, list, REMEDY) if path.exists() else []
+    with blamed_on(path, REMEDY):
+        if not results or "suite" not in results[0]:
+            name = None
+        else:
+            name, *told = (results[0][key] for key in ("suite", "version", "recordings"))
+    if name is None:
         raise ValueError(f"The folder {folder} holds no results of `kfenv suite`.")
-    name, suite = results[0]["suite"], find_suite(results[0]["suite"])
-    if (results[0]["version"], results[0]["recordings"]) != (suite.version, suite.recordings):
+    with blamed_on(path, REMEDY):
+        suite = find_suite(name)
+    if told != [suite.version, suite.recordings]:
         raise ValueError(
             f"The results in {folder} are not of version {suite.version} of {name}, whose "
             f"recordings have the hash {suite.recordings}: run the suite anew."
@@ -55,7 +62,16 @@ def _placed(text: str, name: str, content: str) -> str:
 
 
 def section(results: Results, folder: Path, page: Path) -> str:
-    """The Markdown of one suite: what it is, both tables, the commands that repeat it."""
+    """The Markdown of one suite: what it is, both tables, the commands that repeat it.
+
+    Raises:
+        ValueError: if the folder's results are damaged.
+    """
+    with blamed_on(folder / "results.json", REMEDY):
+        return _section(results, folder, page)
+
+
+def _section(results: Results, folder: Path, page: Path) -> str:
     tested = ranked(results)
     return "\n".join([
         f"## {results[0]['suite']}, version {results[0]['version']}", "",

@@ -141,4 +141,9 @@ def _joined(limit: Limit, output: Path, repeat: int, name: str) -> Array:
     """Of all episodes of one repeat."""
     paths = [_path(output, (repeat, begin)) for begin in range(0, limit.episodes, BLOCK)]
     remedy = "delete it, and --resume computes it again"
-    return np.concatenate([read_arrays(path, [name], remedy)[name] for path in paths])
+    rows = [min(BLOCK, limit.episodes - begin) for begin in range(0, limit.episodes, BLOCK)]
+    blocks = [
+        read_arrays(path, [name], remedy, count)[name]
+        for path, count in zip(paths, rows, strict=True)
+    ]
+    return np.concatenate([block.reshape(-1) for block in blocks])

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..contestants.registry import make_agent
-from ..files import read_arrays, written_whole
+from ..files import blamed_on, read_arrays, written_whole
 
 Array = NDArray[np.float64]
 STORED = ("rmse", "lost", "nees", "nis", "seconds")
@@ -81,14 +80,7 @@ def read_scores(output: Path, name: str, episodes: int | None = None) -> Scores:
     Raises:
         ValueError: if the file is damaged, or of another number of episodes.
     """
-    *arrays, seconds = read_arrays(scores_path(output, name), STORED, REMEDY).values()
-    for field, array in zip(STORED, arrays, strict=False):
-        if array.shape[:1] != (episodes or len(arrays[0]),):
-            raise ValueError(
-                f"{scores_path(output, name)} holds {field} of shape {array.shape} where "
-                f"{episodes} episodes were expected: {REMEDY}."
-            )
-    return Scores(*arrays, float(seconds))
+    return _stored(scores_path(output, name), episodes)
 
 
 def joined(paths: Sequence[Path]) -> tuple[Scores, dict[str, float], float | None]:
@@ -97,26 +89,44 @@ def joined(paths: Sequence[Path]) -> tuple[Scores, dict[str, float], float | Non
     Raises:
         ValueError: if a file is damaged.
     """
-    blocks = [read_arrays(path, STORED, REMEDY) for path in paths]
-    arrays = [np.concatenate([block[field] for block in blocks]) for field in STORED[:-1]]
-    seconds = float(sum(block["seconds"] for block in blocks))
-    first = read_arrays(paths[0], ("parameters", "values", "cost"), REMEDY)
-    return Scores(*arrays, seconds), _values(first), _cost(first)
+    blocks = [_stored(path) for path in paths]
+    arrays = [np.concatenate([getattr(one, field) for one in blocks]) for field in STORED[:-1]]
+    seconds = sum(block.seconds for block in blocks)
+    return Scores(*arrays, seconds), _values(paths[0]), _cost(paths[0])
+
+
+def _stored(path: Path, episodes: int | None = None) -> Scores:
+    """The scores in a file, which must be numbers of the kind and shape that they have."""
+    fields = STORED[:-1]
+    arrays = read_arrays(path, fields, REMEDY, episodes)
+    with blamed_on(path, REMEDY):
+        rows = len(arrays["rmse"])
+    arrays = read_arrays(path, fields, REMEDY, rows)
+    with blamed_on(path, REMEDY):
+        for field, array in arrays.items():
+            kind = bool if field == "lost" else float
+            arrays[field] = array.reshape((rows, -1) if field == "nis" else rows).astype(kind)
+        return Scores(**arrays, seconds=float(read_arrays(path, STORED[-1:], REMEDY)["seconds"]))
 
 
 def read_values(output: Path, name: str) -> dict[str, float]:
     """The parameters that an agent was scored with."""
-    return _values(read_arrays(scores_path(output, name), ("parameters", "values"), REMEDY))
+    return _values(scores_path(output, name))
 
 
 def read_cost(output: Path, name: str) -> float | None:
     """An agent's CPU time relative to the bare engine's, if it was measured."""
-    return _cost(read_arrays(scores_path(output, name), ("cost",), REMEDY))
+    return _cost(scores_path(output, name))
 
 
-def _values(stored: Mapping[str, NDArray[Any]]) -> dict[str, float]:
-    return dict(zip(stored["parameters"].tolist(), stored["values"].tolist(), strict=True))
+def _values(path: Path) -> dict[str, float]:
+    names, values = read_arrays(path, ("parameters", "values"), REMEDY).values()
+    with blamed_on(path, REMEDY):
+        pairs = zip(names.tolist(), values.tolist(), strict=True)
+        return {str(name): float(value) for name, value in pairs}
 
 
-def _cost(stored: Mapping[str, NDArray[Any]]) -> float | None:
-    return None if np.isnan(stored["cost"]) else float(stored["cost"])
+def _cost(path: Path) -> float | None:
+    [cost] = read_arrays(path, ("cost",), REMEDY).values()
+    with blamed_on(path, REMEDY):
+        return None if np.isnan(float(cost)) else float(cost)

@@ -15,7 +15,7 @@ from kfenv.names import unknown
 
 from ..contestants.registry import AGENTS, FILTERS, make_agent
 from ..executor import Workers
-from ..files import clear_partial, is_free, read_json, write_json
+from ..files import blamed_on, clear_partial, is_free, read_json, write_json
 from .contest import Contest
 from .evaluation import evaluate_all
 from .recording_hash import recording_hash
@@ -192,7 +192,8 @@ def _admit(output: Path, told: dict[str, Any], agents: tuple[str, ...], resume: 
             f"The folder {output} holds another suite, other recordings or another number of "
             "episodes: name another folder, or repeat the options that it was begun with."
         )
-    return tuple(dict.fromkeys((*held["agents"], *agents)))
+    with blamed_on(path, "name another folder for the suite"):
+        return tuple(dict.fromkeys((*held["agents"], *agents)))
 
 
 def _gather(suite: Suite, output: Path, told: dict[str, Any]) -> list[dict[str, Any]]:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kfenv.checks import is_number
 from kfenv.envs.knobs import Knob
+from kfenv.names import excerpt
 
 from .channelwise import ChannelwiseNetwork
 from .networks import MEMORYLESS, RECURRENT, ActionNetwork, Array, FactorNetwork
@@ -215,4 +216,4 @@ def write_perceptron(
 
 
 def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
+    return excerpt((str(error).splitlines() or [type(error).__name__])[0].rstrip("."))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,12 @@ class Claim:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        for field in fields(self):
+            kind = int if isinstance(field.default, int) else str
+            if type(getattr(self, field.name)) is not kind:
+                raise TypeError(f"{field.name} of a claim must be {kind.__name__}")
+        if not re.search(r"\w", self.name):
+            raise ValueError(f"a claim's name holds no word: {self.name!r}")
         if self.verdict not in VERDICTS:
             raise ValueError(f"verdict must be one of {', '.join(VERDICTS)}; got {self.verdict!r}.")
 

@@ -161,7 +161,9 @@ def run_study(
         advance(_size(study, start))
     names = [f"{i}/{field}" for i in range(len(study.methods)) for field in Outcome._fields]
     remedy = "delete it, and the same command computes it again"
-    chunks = [read_arrays(path, names, remedy) for path in paths.values()]
+    chunks = [
+        read_arrays(path, names, remedy, _size(study, start)) for start, path in paths.items()
+    ]
     return {
         method.label: Outcome(
             *(

@@ -30,7 +30,7 @@ def read_claims(path: Path) -> list[Claim]:
     """
     try:
         return [Claim(**fields) for fields in json.loads(path.read_text(encoding="utf-8"))]
-    except (TypeError, json.JSONDecodeError):
+    except (TypeError, ValueError):
         raise ValueError(
             f"{path} holds no claims: give a folder that `kfenv reproduce` wrote."
         ) from None
@@ -65,11 +65,16 @@ def _verdicts(found: Sequence[Claim]) -> str:
     return ", ".join(f"{_experiment(claim)} {claim.verdict}" for claim in found)
 
 
+def _expected(experiment: str) -> int:
+    """Runs of an experiment unless told; of one that there is no more, none."""
+    return EXPERIMENTS[experiment].runs if experiment in EXPERIMENTS else 0
+
+
 def _runs(claims: Sequence[Claim]) -> str:
     runs = {_experiment(claim): claim.runs for claim in claims}
-    short = [name for name, count in runs.items() if count < EXPERIMENTS[name].runs]
+    short = [name for name, count in runs.items() if count < _expected(name)]
     counts = (
-        f"{name} {count}" + (f" of {EXPERIMENTS[name].runs}" if name in short else "")
+        f"{name} {count}" + (f" of {_expected(name)}" if name in short else "")
         for name, count in runs.items()
     )
     seeds = sorted({claim.seed for claim in claims})

@@ -6,12 +6,15 @@ import csv
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
+from math import inf
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kfenv.checks import LARGEST
+from kfenv.names import excerpt
 from kfenv.scenarios.clock import seconds
 
 Array = NDArray[np.float64]
@@ -87,8 +90,8 @@ def _missing(what: str, columns: Sequence[str], column: str, header: list[str]) 
     if header and all(map(_is_numeric, header)):
         return f"the first line holds numbers, no names: put {','.join(columns)} above it."
     close = get_close_matches(column, header, n=1, cutoff=0.4)
-    hint = f"; rename {close[0]!r} if that is it" if close else ""
-    found = ", ".join(header) if header else "nothing"
+    hint = f"; rename {excerpt(close[0])!r} if that is it" if close else ""
+    found = excerpt(", ".join(header)) if header else "nothing"
     article = "An" if what[0] in "aeioAEIO" else "A"
     return (
         f"column {column!r} is missing{hint}. {article} {what} has {', '.join(columns)}; "
@@ -109,7 +112,14 @@ def _number(row: list[str], place: int, column: str, line: int, gaps: bool) -> f
     if gaps and column != CLOCK and not text.strip():
         return float("nan")
     try:
-        return seconds(text) if column == CLOCK else float(text)
+        value = seconds(text) if column == CLOCK else float(text)
     except ValueError:
         kind = "time (seconds, hh:mm:ss or ISO 8601)" if column == CLOCK else "number"
-        raise ValueError(f"column {column!r} in line {line} is no {kind}: {text!r}.") from None
+        raise ValueError(
+            f"column {column!r} in line {line} is no {kind}: {excerpt(text)!r}."
+        ) from None
+    if LARGEST < abs(value) < inf:
+        raise ValueError(
+            f"column {column!r} in line {line} holds {value:g}, more than anything measures."
+        )
+    return value

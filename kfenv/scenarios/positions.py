@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from math import inf
 from os import PathLike
 from pathlib import Path
 
@@ -11,6 +12,8 @@ import numpy as np
 import pymap3d
 from numpy.typing import NDArray
 
+from kfenv.checks import LARGEST
+from kfenv.names import excerpt
 from kfenv.scenarios.columns import column_names, read_columns
 
 Array = NDArray[np.float64]
@@ -63,9 +66,6 @@ def read_positions(path: str | PathLike[str]) -> Positions:
             f"{path}: the time of position {row + 2} is not later than that of the one before; "
             "sort them and keep one per time."
         )
-    if not np.isfinite(found.position).all():
-        row = int(np.argmin(np.isfinite(found.position).all(axis=1)))
-        raise ValueError(f"{path}: position {row + 1} holds NaN; leave such rows out.")
     return found
 
 
@@ -73,6 +73,7 @@ def _read_csv(path: str | PathLike[str]) -> Positions:
     clock = ("t",) if "t" in column_names(path, "positions file") else WEEK_AND_SECONDS
     *clock, latitude, longitude, height = read_columns(path, "positions file", (*clock, *PLACE))
     time = clock[0] if len(clock) == 1 else WEEK * clock[0] + clock[1]
+    _check_finite(path, np.stack((time, latitude, longitude, height), axis=-1))
     if np.abs(latitude).max(initial=0.0) > 90.0:
         raise ValueError(f"{path}: lat must be within 90 deg of zero; are lat and lon exchanged?")
     return Positions(str(path), time, _earth_fixed(latitude, longitude, height))
@@ -80,11 +81,15 @@ def _read_csv(path: str | PathLike[str]) -> Positions:
 
 def _read_pos(path: str | PathLike[str]) -> Positions:
     columns, values = read_solution(path)
+    _check_finite(path, values[:, :4])
     llh = columns[1:4] == LLH.split()
     deviation = None
     if llh and all(name in columns for name in DEVIATIONS):
         deviation = values[:, [columns.index(name) for name in DEVIATIONS]]
-    quality = values[:, columns.index("Q")].astype(np.int64) if "Q" in columns else None
+    quality = None
+    if "Q" in columns:
+        quality = np.nan_to_num(values[:, columns.index("Q")], posinf=0.0, neginf=0.0)
+        quality = quality.astype(np.int64)
     position = _earth_fixed(*values[:, 1:4].T) if llh else values[:, 1:4]
     return Positions(str(path), values[:, 0], position, deviation, quality)
 
@@ -105,9 +110,10 @@ def read_solution(path: str | PathLike[str]) -> tuple[list[str], Array]:
         if columns[:1] == [wrong]:
             raise ValueError(f"{path} has {wrong} times; have RTKLIB write {remedy} ones.")
     if columns[:1] != ["GPST"] or columns[1:4] not in (LLH.split(), XYZ.split()):
+        told = excerpt(" ".join(columns)) if columns else "not told"
         raise ValueError(
             f"{path} is no RTKLIB solution file of GPST times with latitude, longitude and height "
-            f"in degrees, or x, y and z: its columns are {' '.join(columns) or 'not told'}."
+            f"in degrees, or x, y and z: its columns are {told}."
         )
     rows = [
         (n, line.split()) for n, line in enumerate(lines, 1) if line.strip(" %") and line[0] != "%"
@@ -121,8 +127,11 @@ def _pos_row(path: str | PathLike[str], number: int, fields: list[str], count: i
     try:
         if len(fields) != count:
             raise ValueError
-        return [_instant(*fields[:2]), *map(float, fields[2:])]
-    except ValueError:
+        values = [_instant(*fields[:2]), *map(float, fields[2:])]
+        if any(LARGEST < abs(value) < inf for value in values):
+            raise ValueError
+        return values
+    except (ValueError, OverflowError):
         raise ValueError(f"{path}, line {number}: {count} fields of numbers are wanted.") from None
 
 
@@ -133,6 +142,13 @@ def _instant(day: str, time: str) -> float:
     hour, minute, second = time.split(":")
     start = datetime.strptime(day, "%Y/%m/%d") - GPS_EPOCH
     return start / timedelta(seconds=1) + 3600.0 * int(hour) + 60.0 * int(minute) + float(second)
+
+
+def _check_finite(path: str | PathLike[str], rows: Array) -> None:
+    finite = np.isfinite(rows).all(axis=1)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise ValueError(f"{path}: position {row + 1} is no number; leave such rows out.")
 
 
 def _earth_fixed(latitude: Array, longitude: Array, height: Array) -> Array:

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 MAX_RATE = 100.0  # Hz
 MIN_RATE = 1.0  # Hz: the motion models take steps of up to a second
+MOST_INSTANTS = 1_000_000  # of an episode, which is held whole
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,12 @@ class TrackingScenario(ABC):
             raise ValueError(
                 "duration must be a number of seconds, at least one step of "
                 f"{1.0 / self.rate:g} s, got {self.duration!r}."
+            )
+        instants = self.duration * self.rate
+        if instants > MOST_INSTANTS:
+            raise ValueError(
+                f"duration={self.duration!r} at rate={self.rate:g} makes {instants:.2g} instants, "
+                f"and an episode has at most {MOST_INSTANTS:,}: shorten it."
             )
         resolve_faults(self.faults, self.presets, self.known_faults)  # complains
 

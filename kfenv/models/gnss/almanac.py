@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from kfenv.models.gnss.orbits import EARTH_RATE, WEEK, Constellation, gps_seconds
+from kfenv.names import excerpt
 
 WEEKS_PER_ROLLOVER = 1024
 
@@ -135,6 +136,7 @@ def _number(text: str, key: str, where: str) -> float:
         value = float("nan")
     if not isfinite(value) or not low <= value <= high:
         raise ValueError(
-            f"{where}: {key} must be a number between {low:g} and {high:g}, got {text.strip()!r}."
+            f"{where}: {key} must be a number between {low:g} and {high:g}, got "
+            f"{excerpt(text.strip())!r}."
         )
     return value

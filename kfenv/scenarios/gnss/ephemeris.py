@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kfenv.models.gnss.orbits import EARTH_RATE, GRAVITY, WEEK, eccentric_anomaly
+from kfenv.names import excerpt
 from kfenv.scenarios.gnss.rinex import PER_SYSTEM, SYSTEMS, number_of
 from kfenv.scenarios.gnss.rinex_lines import Header, Lines, read_header
 
@@ -282,5 +283,7 @@ def _record(lines: Lines, line: str, version: int, system: str) -> dict[str, flo
 def _number(lines: Lines, field: str, name: str) -> float:
     # A number that was cut short could still read as one
     if len(field.rstrip()) < WIDTH:
-        raise lines.wrong(f"{name} should fill {WIDTH} columns, but reads {field.strip()!r}")
+        raise lines.wrong(
+            f"{name} should fill {WIDTH} columns, but reads {excerpt(field.strip())!r}"
+        )
     return lines.real(field, name)

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kfenv.names import excerpt
 from kfenv.scenarios.gnss.rinex_lines import HEADER_LABEL, Header, Lines, read_header
 
 Array = NDArray[np.float64]
@@ -140,7 +141,7 @@ def _columns(path: str, version: int, kinds: dict[str, list[str]]) -> tuple[dict
                 listed.index(kind) if kind in listed else None for kind in wanted
             )
     if "G" not in codes:
-        found = ", ".join(kinds["G"]) or "none"
+        found = excerpt(", ".join(kinds["G"])) if kinds["G"] else "none"
         raise ValueError(f"{path}: the header lists no GPS pseudorange on L1, only {found}.")
     return codes, columns
 
@@ -174,7 +175,9 @@ def _check_conventions(lines: Lines, header: Header) -> None:
     for number, line in header.get("TIME OF FIRST OBS", []):
         if line[48:51].strip() not in ("", "GPS"):
             with lines.at(number):
-                raise lines.wrong(f"GPS times are wanted, the file has {line[48:51]} times")
+                raise lines.wrong(
+                    f"GPS times are wanted, the file has {excerpt(line[48:51])} times"
+                )
 
 
 def _position(lines: Lines, header: Header) -> Array | None:
@@ -230,7 +233,8 @@ def _kinds_v3(lines: Lines, header: Header) -> dict[str, list[str]]:
 def _check_count(lines: Lines, row: tuple[int, str], count: str, kinds: list[str]) -> None:
     with lines.at(row[0]):
         if lines.whole(count, "the number of observation types") != len(kinds):
-            raise lines.wrong(f"{count.strip()} types of observation are said, {len(kinds)} listed")
+            said = excerpt(count.strip())
+            raise lines.wrong(f"{said} types of observation are said, {len(kinds)} listed")
 
 
 def _epoch_v2(lines: Lines, kinds: int, columns: Columns) -> Epoch:
@@ -309,7 +313,8 @@ def _values(
         # A line that was cut within a number would still read as a number
         if field[10] != "." or not field[11:].isdigit():
             raise lines.wrong(
-                f"a {what} should fill 14 columns with three decimals, but reads {field.strip()!r}"
+                f"a {what} should fill 14 columns with three decimals, but reads "
+                f"{excerpt(field.strip())!r}"
             )
         values.append(lines.real(field, f"a {what}") or np.nan)
     return values

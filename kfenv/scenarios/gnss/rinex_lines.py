@@ -7,8 +7,11 @@ import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from datetime import datetime, timedelta
-from math import isfinite, nan
+from math import nan
 from pathlib import Path
+
+from kfenv.checks import LARGEST
+from kfenv.names import excerpt
 
 Header = dict[str, list[tuple[int, str]]]  # label: lines with their numbers
 
@@ -71,8 +74,8 @@ class Lines:
             value = float(text.replace("D", "E").replace("d", "e"))
         except ValueError:
             value = nan
-        if not isfinite(value):
-            raise self.wrong(f"{what} should be a number, but reads {text.strip()!r}")
+        if not abs(value) < LARGEST:
+            raise self.wrong(f"{what} should be a number, but reads {excerpt(text.strip())!r}")
         return value
 
     def whole(self, text: str, what: str) -> int:
@@ -81,7 +84,7 @@ class Lines:
             return int(text)
         except ValueError:
             raise self.wrong(
-                f"{what} should be a whole number, but reads {text.strip()!r}"
+                f"{what} should be a whole number, but reads {excerpt(text.strip())!r}"
             ) from None
 
     def instant(self, fields: Iterable[str], what: str) -> float:
@@ -95,7 +98,7 @@ class Lines:
         try:
             start = datetime(year, month, day, hour, minute) - GPS_EPOCH
         except ValueError:
-            raise self.wrong(f"the time of {what} is no date: {' '.join(whole)}") from None
+            raise self.wrong(f"the time of {what} is no date: {excerpt(' '.join(whole))}") from None
         return start / timedelta(seconds=1) + self.real(seconds, f"the time of {what}")
 
 
@@ -118,16 +121,17 @@ def read_header(lines: Lines, kind: str) -> tuple[int, Header]:
     version = int(lines.real(first[:9], "the RINEX version"))
     names = {"O": "an observation file", "N": "a navigation file"}
     if version not in VERSIONS:
-        raise lines.wrong(f"RINEX version {first[:9].strip()} is not read, only 2 and 3 are")
+        told = excerpt(first[:9].strip())
+        raise lines.wrong(f"RINEX version {told} is not read, only 2 and 3 are")
     if first[20:21] != kind:
         raise lines.wrong(
-            f"{names[kind]} (type {kind!r}) is wanted, this has type {first[20:21]!r}"
+            f"{names[kind]} (type {kind!r}) is wanted, this has type {excerpt(first[20:21])!r}"
         )
     # RINEX 2 navigation files of GPS leave the system blank
     if first[40:41] not in (" ", "", "G", "M"):
         raise lines.wrong(
             f"only GPS, alone or mixed with others, is read, and this file is for another system "
-            f"({first[40:41]!r})"
+            f"({excerpt(first[40:41])!r})"
         )
     header: Header = {}
     while True:
