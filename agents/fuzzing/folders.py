@@ -12,7 +12,8 @@ from numpy.random import Generator
 
 import kfenv  # noqa: F401  (registers the environments)
 
-from ..contest.evaluation import Contest, evaluate
+from ..contest.contest import Contest
+from ..contest.evaluation import evaluate
 from ..contest.leaderboard import read_results, section
 from ..contest.limit import Limit, measure_limit
 from ..contest.suite_run import machine

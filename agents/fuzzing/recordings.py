@@ -23,7 +23,6 @@ Spoil = Callable[[Generator, dict[str, Any]], None]
 
 DURATION, DRAWN = 4.0, 8  # s and number of the episodes that others are made from
 OFTEN = 0.25  # share of the cases that meet one kind of spoiling
-RATES = {"kfenv/RadarValidation-v0": 10.0}  # others are fast enough by default
 
 
 def models(env_id: str) -> tuple[Motion, Sensor]:
