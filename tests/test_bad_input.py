@@ -63,6 +63,8 @@ WRONG = [  # keyword argument of every environment, what must be said of it
     ({"kappa": NAN}, "kappa"),
     ({"kappa": "1"}, "'1'"),
     ({"decision_interval": 0}, "decision_interval"),
+    ({"decision_interval": 2**70}, "decision_interval must be a whole number"),
+    ({"filter": "none"}, "Unknown filter design 'none'"),
     ({"decision_interval": 1.5}, "1.5"),
     ({"recording": np.zeros((1, 4, 3))}, "ndarray"),
     ({"faults": "randm"}, "'randm'. Did you mean 'random'"),

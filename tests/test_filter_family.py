@@ -305,9 +305,9 @@ def test_without_any_measurement_the_filter_only_predicts(name):
 
 
 def test_a_misspelt_design_is_told_the_close_ones():
-    with pytest.raises(ValueError, match=r"did you mean .*srukf-joseph"):
+    with pytest.raises(ValueError, match=r"Did you mean .*srukf-joseph"):
         ReferenceFilter(*AIRCRAFT, "srukf-josef")
-    with pytest.raises(ValueError, match=r"no filter design 'zzz': try lkf"):
+    with pytest.raises(ValueError, match=r"Unknown filter design 'zzz'"):
         find_design("zzz")
 
 

@@ -558,6 +558,9 @@ def test_missing_inputs_are_asked_for():
     sensor = own_sensor(("a",), lambda x, s: x, 1)
     with pytest.raises(ValueError, match=r"inputs must be an array of shape \(41, 1\) \(push at"):
         simulate(motion, sensor, R=(1.0,), mean=(0.0,), P=(1.0,), duration=4.0, rate=10.0)
+    told = {"R": (1.0,), "mean": (0.0,), "P": (1.0,), "duration": 4.0, "rate": 10.0}
+    with pytest.raises(ValueError, match=r"inputs must be an array of shape \(41, 1\)"):
+        simulate(motion, sensor, inputs={"push": 1}, **told)
 
 
 def test_who_needs_the_engine_refuses_numpy_models():

@@ -57,7 +57,7 @@ class Environments:
         """See `Subject`."""
         try:
             env = _make(case)
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, OSError) as error:
             _check_complaint(str(error))
             return 0
         try:

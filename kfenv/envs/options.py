@@ -16,6 +16,7 @@ from kfenv.scenarios.recording import Recording
 
 OBSERVATIONS = SHORT, FULL = "short", "full"
 REWARDS = ("rmse", "log-rmse", *DENSE)
+LONGEST_INTERVAL = 1_000_000  # filter steps of a decision
 ENGINE = "srukf-joseph-exact"
 GAUSSIAN_SUMS = ("gsekf", "gsckf")
 
@@ -40,10 +41,10 @@ class Options:
             raise ValueError(unknown("observation", self.observation, OBSERVATIONS))
         interval = self.decision_interval
         whole = isinstance(interval, int) and not isinstance(interval, bool)
-        if interval is not None and (not whole or interval < 1):
+        if interval is not None and not (whole and 1 <= interval <= LONGEST_INTERVAL):
             raise ValueError(
-                f"decision_interval must be a whole number of filter steps, 1 or more, "
-                f"got {interval!r}."
+                f"decision_interval must be a whole number of filter steps from 1 to "
+                f"{LONGEST_INTERVAL:,}, got {interval!r}."
             )
         if self.actions is not None and not isinstance(self.actions, Sequence):
             raise ValueError(

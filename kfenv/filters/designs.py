@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from math import isfinite
 from typing import Literal
+
+from kfenv.names import unknown
 
 _JOSEPH = ("joseph", "joseph-prior", "joseph-exact", "joseph-statistical")
 UPDATES = {
@@ -122,8 +123,6 @@ def find_design(design: FilterDesign | str, kappa: float | None = None) -> Filte
     """
     if isinstance(design, str):
         if design not in DESIGNS:
-            close = get_close_matches(design, DESIGNS, n=3, cutoff=0.5)
-            hint = f"did you mean {' or '.join(close)}?" if close else f"try {', '.join(DESIGNS)}."
-            raise ValueError(f"There is no filter design {design!r}: {hint}")
+            raise ValueError(unknown("filter design", design, DESIGNS))
         design = DESIGNS[design]
     return design if kappa is None else replace(design, kappa=float(kappa))

@@ -214,7 +214,10 @@ class OwnFilter(TrackingScenario):
         given = given(rng, self.time) if callable(given) else given
         if given is None and not wanted:
             return np.empty(shape)
-        array = np.asarray(np.nan if given is None else given, np.float64)
+        try:
+            array = np.asarray(np.nan if given is None else given, np.float64)
+        except (TypeError, ValueError):
+            array = np.array(np.nan)  # no numbers
         if array.shape != shape or not np.isfinite(array).all():
             raise ValueError(
                 f"{name} must be an array of shape {shape} ({', '.join(wanted) or 'none'} at each "
