@@ -8,6 +8,7 @@ from kfenv.filters.adaptive import ADAPTIVE_DESIGNS
 from kfenv.filters.designs import DESIGNS
 
 from .contest import evaluate
+from .dataset import dataset
 from .demo import demo
 from .environments import envs
 from .export import export
@@ -34,6 +35,7 @@ app.command()(envs)
 app.command()(train)
 app.command(epilog=FAMILY)(evaluate)
 app.command()(run)
+app.command()(dataset)
 app.command()(limit)
 app.command()(inspect)
 app.command()(outages)
