@@ -96,7 +96,7 @@ Executor = Annotated[
     typer.Option(
         metavar="WHERE",
         help="'processes' of this machine, or 'ray' (the cluster of RAY_ADDRESS, else a Ray of "
-        "so many --processes here), or a cluster's address: ray://HOST:PORT or HOST:PORT.",
+        "so many --processes here), 'auto' (one that runs here), or an address: ray://HOST:PORT.",
     ),
 ]
 
@@ -105,7 +105,7 @@ def workers(executor: str, processes: int) -> Workers:
     """Who works: so many processes, or a cluster."""
     if executor == "processes":
         return processes
-    if executor != "ray" and ":" not in executor:
+    if executor not in ("ray", "auto") and ":" not in executor:
         raise ValueError(unknown("executor", executor, ("processes", "ray", "ray://HOST:PORT")))
     return RayCluster(None if executor == "ray" else executor, processes)
 
