@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from kfenv.agents.cli.app import app
 from kfenv.agents.contest.rollout import scenario_and_options
-from kfenv.agents.tuning.criteria import Criterion, blocks_of
+from kfenv.agents.tuning.blocks import blocks_of
+from kfenv.agents.tuning.criteria import Criterion
 from kfenv.agents.tuning.diagnostics import Innovations, channel_report, lag_correlations
 from kfenv.agents.tuning.estimation import estimate
 from kfenv.agents.tuning.findings import as_yaml, lines_to_paste, warnings
@@ -19,6 +20,7 @@ from typer.testing import CliRunner
 
 from kfenv.models.model import Component
 from kfenv.models.namespaces import batch
+from kfenv.scenarios.recording import stack
 
 CALM = {"faults": "none", "duration": 12.0, "rate": 5.0}
 TRUE_Q, TRUE_R = 4.0, np.array([3.0, 0.5, 1.0])  # over the told variance, and deviations
@@ -125,6 +127,16 @@ def test_a_full_matrix_takes_the_models_own_where_it_is_right():
     assert left[0, 1, 1] == 2.0 and left[0, 1, 0] == pytest.approx(ratio)
 
 
+def test_each_source_of_process_noise_has_its_own_factor():
+    """An axis that moves more than told, and two as told."""
+    recording, _ = moved_as_believed(12, q=np.repeat([9.0, 1.0, 1.0], 3), r=np.ones(3))
+    shape, found = estimated(recording, shape="sources")
+    assert shape.names[:3] == ("x_process_noise", "y_process_noise", "z_process_noise")
+    wanted = np.log([9.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    assert ((found.low <= wanted) & (wanted <= found.high)).all()
+    assert np.abs(found.theta - wanted).max() < 0.8
+
+
 def test_what_no_data_moves_is_told():
     """A channel that never arrives has a noise that nothing depends on."""
     recording, _ = moved_as_believed(10)
@@ -141,11 +153,34 @@ def test_few_windows_are_cut_into_blocks_in_time():
     assert blocks.max() == 9 and (np.diff(blocks[0]) >= 0).all()
 
 
+def test_windows_that_overlap_share_their_blocks():
+    """Of one long log, drawn at random: the same instant is in the same block, others are not."""
+    long, _ = moved_as_believed(2)
+    starts, length = [(0, 20), (0, 5), (1, 0), (0, 12), (0, 38)], 22
+    windows = [
+        replace(long[e], **{
+            name: getattr(long[e], name)[:, start : start + length]
+            for name in ("measurement", "noise", "motion_inputs", "sensor_inputs", "truth",
+                         "true_bias")
+        }, time=long.time[:length])
+        for e, start in starts
+    ]  # fmt: skip
+    blocks = blocks_of(stack(windows))
+    told = {}
+    for (e, start), own in zip(starts, blocks, strict=True):
+        for t, block in enumerate(own):
+            assert told.setdefault((e, start + t), block) == block
+    assert not {b for (e, _), b in told.items() if e} & {b for (e, _), b in told.items() if not e}
+    assert blocks.max() + 1 >= 10
+    alone = blocks_of(moved_as_believed(12)[0])
+    np.testing.assert_array_equal(alone, np.repeat(np.arange(12)[:, None], 61, axis=1))
+
+
 def test_a_channels_report_is_of_its_own_unit():
     rng = np.random.default_rng(0)
     value = np.radians(0.3 + 2.0 * rng.standard_normal((20, 50, 1)))
     value[:, ::7] = np.nan
-    told = Innovations(value, np.full(value.shape, np.radians(1.0) ** 2), None)
+    told = Innovations(value, np.full(value.shape, np.radians(1.0) ** 2), value[..., 0], None)
     blocks = np.repeat(np.arange(20)[:, None], 50, axis=1)
     found = channel_report(Component("azimuth", "rad", "azimuth", angle=True), told, 0, blocks)
     assert found.unit == "deg" and found.count == np.isfinite(value).sum()

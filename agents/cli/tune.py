@@ -42,9 +42,11 @@ def tune(
     noise: Annotated[
         str,
         typer.Option(
-            metavar="groups|channels|full",
+            metavar="groups|sources|channels|full",
             help="groups: a factor on Q and on each channel group's deviation, as the knobs are. "
-            "channels: one on each channel's. full: a whole Q besides, which takes minutes.",
+            "sources: one on each part of Q that is independent of the others (an axis, a clock). "
+            "channels: one on each channel's deviation besides. full: a whole Q, which takes "
+            "minutes.",
         ),
     ] = "groups",
     rule: Annotated[
@@ -147,13 +149,13 @@ def _noise_table(report: dict[str, Any]) -> Table:
 def _scores_table(report: dict[str, Any]) -> Table:
     windows = report["windows"]["test"]
     table = Table(
-        "noise", "NIS", "RMSE median, m", "RMSE geo. mean, m", box=SIMPLE_HEAD,
-        title=f"On {windows} windows kept from tuning",
+        "noise", "NIS " + "/".join(report["nominal"]["nis"]), "RMSE median, m",
+        "RMSE geo. mean, m", box=SIMPLE_HEAD, title=f"On {windows} windows kept from tuning",
     )  # fmt: skip
     for name, row in {"as told": report["nominal"], **report["static"]}.items():
-        table.add_row(
-            name, *(_cell(row.get(key)) for key in ("nis", "rmse_median", "rmse_geometric_mean"))
-        )
+        nis = "/".join("-" if value is None else f"{value:.2g}" for value in row["nis"].values())
+        error = (_cell(row.get(key)) for key in ("rmse_median", "rmse_geometric_mean"))
+        table.add_row(name, nis, *error)
     return table
 
 

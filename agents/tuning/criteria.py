@@ -167,11 +167,3 @@ def squared_errors(scenario: Any, recording: Recording, series: Array) -> tuple[
     gone = failed | ((squared > far**2) & (known > 0.0))
     gone = np.maximum.accumulate(gone, axis=-1)
     return np.where(gone, far**2, np.where(failed, 0.0, squared)) * known, known
-
-
-def blocks_of(recording: Recording, least: int = 10) -> NDArray[np.int64]:
-    """The block (B, T) of each instant: the episodes, cut in time where they are too few."""
-    episodes, steps = recording.measurement.shape[:2]
-    pieces = max(1, -(-least // episodes))
-    piece = np.minimum(np.arange(steps) * pieces // steps, pieces - 1)
-    return pieces * np.arange(episodes)[:, None] + piece

@@ -26,11 +26,23 @@ QUANTILES = np.linspace(0.005, 0.995, 100)
 
 @dataclass(frozen=True)
 class Innovations:
-    """Those of B episodes with one static noise (B, T, m), NaN where none arrived; and errors."""
+    """Those of B episodes with one static noise (B, T, m), NaN where none arrived; and errors.
+
+    Attributes:
+        value, variance: of each channel by itself.
+        nis: (B, T) of all channels that arrived together, their correlations included.
+        rmse: (B,), m, None where the truth is not known.
+    """
 
     value: Array
     variance: Array
-    rmse: Array | None  # (B,), m, where the truth is known
+    nis: Array
+    rmse: Array | None
+
+    @property
+    def joint_nis(self) -> float:
+        """Mean NIS of all channels together, per channel that arrived."""
+        return float(np.nansum(self.nis) / max(np.sum(~np.isnan(self.value)), 1))
 
     @property
     def normalised(self) -> Array:
@@ -88,15 +100,16 @@ def filter_innovations(
 ) -> Innovations:
     """Filter the episodes with one static noise, L (n, n) and r (m,)."""
     value, variance = np.full((2, *recording.measurement.shape), np.nan)
+    nis = np.full(value.shape[:2], np.nan)
     mean = np.full((*recording.measurement.shape[:2], recording.mean.shape[1]), np.nan)
     for t, update, _, sound in instants(scenario, options, recording, left[None], noise[None]):
         value[sound, t], variance[sound, t] = update.innovation[sound], update.variance[sound]
-        mean[sound, t] = update.mean[sound]
+        mean[sound, t], nis[sound, t] = update.mean[sound], update.nis[sound]
     if recording.truth is None or not recording.scored_instants.all():
-        return Innovations(value, variance, None)
+        return Innovations(value, variance, nis, None)
     squared, known = squared_errors(scenario, recording, mean[None])
     rmse = np.sqrt(squared[0].sum(axis=1) / known.sum(axis=1))
-    return Innovations(value, variance, rmse)
+    return Innovations(value, variance, nis, rmse)
 
 
 def channel_report(

@@ -16,7 +16,8 @@ from .noise import NoiseShape
 Array = NDArray[np.float64]
 
 SPREAD = 48  # settings drawn over the whole range before the descent
-STEP = 1e-2  # of finite differences, in parameters
+STEP = 1e-2  # of finite differences in the descent, in parameters
+WIDE = 0.1  # of those that curvature and intervals are from: errors have kinks
 MOVED = 1e-3  # curvature below which no data moved a parameter, relative to the largest
 ROUNDS = 60  # of the descent, at most
 
@@ -99,7 +100,7 @@ def _with_interval(
     hessian = _hessian(criterion.cost(sums, np.ones(blocks)), p)
     without = 1.0 - np.eye(blocks)
     left_out = criterion.cost(sums, without)  # (K, settings)
-    slopes = (left_out[:, 1 : p + 1] - left_out[:, p + 1 : 2 * p + 1]) / (2.0 * STEP)
+    slopes = (left_out[:, 1 : p + 1] - left_out[:, p + 1 : 2 * p + 1]) / (2.0 * WIDE)
     inside = ~at_edge
     curvature = np.diag(hessian)
     moved = curvature > MOVED * max(np.max(curvature), 1e-12)
@@ -115,7 +116,7 @@ def _with_interval(
 
 def _around(p: int) -> Array:
     """Settings about an optimum: itself, a step ahead and back along each axis, each pair."""
-    steps = STEP * np.eye(p)
+    steps = WIDE * np.eye(p)
     pairs = [steps[i] + steps[j] for i in range(p) for j in range(i)]
     return np.vstack([np.zeros(p), steps, -steps, *pairs])
 
@@ -123,10 +124,10 @@ def _around(p: int) -> Array:
 def _hessian(cost: Array, p: int) -> Array:
     """Second derivatives (p, p) from the costs of `_around`."""
     here, ahead, back, pairs = cost[0], cost[1 : p + 1], cost[p + 1 : 2 * p + 1], cost[2 * p + 1 :]
-    hessian = np.diag((ahead - 2.0 * here + back) / STEP**2)
+    hessian = np.diag((ahead - 2.0 * here + back) / WIDE**2)
     rows = [(i, j) for i in range(p) for j in range(i)]
     for (i, j), both in zip(rows, pairs, strict=True):
-        hessian[i, j] = hessian[j, i] = (both - ahead[i] - ahead[j] + here) / STEP**2
+        hessian[i, j] = hessian[j, i] = (both - ahead[i] - ahead[j] + here) / WIDE**2
     return hessian
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from kfenv.envs.knobs import NOISE_RANGE, PROCESS_NOISE
 from kfenv.names import unknown
@@ -16,7 +17,7 @@ from ..contestants.optimised import initial_noise_factor
 
 Array = NDArray[np.float64]
 
-SHAPES = GROUPS, CHANNELS, FULL = "groups", "channels", "full"
+SHAPES = GROUPS, SOURCES, CHANNELS, FULL = "groups", "sources", "channels", "full"
 MOST_COUPLING = 2.0  # of two states' process noise, their deviations being one
 
 
@@ -26,8 +27,9 @@ class NoiseShape:
 
     Q's lower factor becomes L times the model's, R's deviations r times the told ones. With
     ``"groups"`` L is sqrt(process_noise), times that of a group of states, and r one factor per
-    channel group: the environment's knobs, as logarithms. ``"channels"`` has an r for each
-    channel; ``"full"`` a whole lower L besides (Greenberg et al. 2023), whose off-diagonals are
+    channel group: the environment's knobs, as logarithms. ``"sources"`` has a process_noise for
+    each set of states that share noise (an axis, a clock), ``"channels"`` an r for each channel
+    besides; ``"full"`` a whole lower L besides (Greenberg et al. 2023), whose off-diagonals are
     no logarithms but relative to the states' deviations.
 
     Attributes:
@@ -65,7 +67,9 @@ class NoiseShape:
                 for j, b in enumerate(motion.states[:i])
                 if size[i] > 0.0 and size[j] > 0.0
             ]
-        measured = sensor.groups if shape == GROUPS else [c.name for c in sensor.channels]
+        measured = (
+            sensor.groups if shape in (GROUPS, SOURCES) else [c.name for c in sensor.channels]
+        )
         rows += [(f"{name}_noise", *np.log(NOISE_RANGE), True) for name in measured]
         names, low, high, logarithmic = zip(*rows, strict=True)
         bounds = np.array(low), np.array(high)
@@ -76,9 +80,10 @@ class NoiseShape:
         values = np.where(self.logarithmic, np.exp(theta), theta)
         told = {name: values[:, i] for i, name in enumerate(self.names)}
         states, sensor = self.scenario.motion.states, self.scenario.sensor
+        sources = _sources(self.shape, self.scenario.motion)
         left = np.zeros((len(theta), len(states), len(states)))
         for i, state in enumerate(states):
-            own = f"{state.name}_process_noise" if self.shape == FULL else "process_noise"
+            own = f"{sources[i]}_process_noise" if self.shape != GROUPS else "process_noise"
             variance = told.get(own, np.ones(len(theta)))
             left[:, i, i] = np.sqrt(variance * told.get(f"{state.group}_process_noise", 1.0))
         for i, a in enumerate(states):
@@ -86,12 +91,27 @@ class NoiseShape:
                 if f"{b.name} into {a.name}" in told:
                     ratio = self.size[i] / self.size[j]
                     left[:, i, j] = left[:, i, i] * told[f"{b.name} into {a.name}"] * ratio
-        names = [c.group if self.shape == GROUPS else c.name for c in sensor.channels]
+        by_group = self.shape in (GROUPS, SOURCES)
+        names = [c.group if by_group else c.name for c in sensor.channels]
         return left, np.stack([told[f"{name}_noise"] for name in names], axis=1)
 
 
 def _process_names(shape: str, motion: Any, size: Array) -> list[str]:
+    if shape == GROUPS:
+        return ["process_noise", *(f"{group}_process_noise" for group in motion.groups)]
+    sources = _sources(shape, motion)
+    moved = dict.fromkeys(name for name, s in zip(sources, size, strict=True) if s > 0.0)
+    return [f"{name}_process_noise" for name in moved]
+
+
+def _sources(shape: str, motion: Any) -> list[str]:
+    """For each state the first one that it shares process noise with; itself of a full matrix."""
+    names = [state.name for state in motion.states]
     if shape == FULL:
-        moved = [state for state, s in zip(motion.states, size, strict=True) if s > 0.0]
-        return [f"{state.name}_process_noise" for state in moved]
-    return ["process_noise", *(f"{group}_process_noise" for group in motion.groups)]
+        return names
+    n = len(names)
+    shared = np.zeros((2 * n, 2 * n))  # states, then columns of the factor
+    for row, column in motion.noise_pattern:
+        shared[row, n + column] = 1.0
+    _, piece = connected_components(shared, directed=False)
+    return [names[int(np.flatnonzero(piece[:n] == own)[0])] for own in piece[:n]]

@@ -19,7 +19,8 @@ from ..contest.yardsticks import YARDSTICKS
 from ..contestants.optimised import initial_noise_factor
 from ..files import clear_partial, is_free, read_json, write_json
 from ..plain import plain
-from .criteria import Criterion, blocks_of
+from .blocks import blocks_of
+from .criteria import Criterion
 from .diagnostics import Innovations, channel_report, filter_innovations
 from .estimation import estimate
 from .noise import NoiseShape
@@ -122,7 +123,7 @@ def _report(
         name: np.array(done[f"static-{name}"]["theta"]) for name in study.by
     }
     looked = {name: _look(study, shape, test, theta) for name, theta in settings.items()}
-    chosen = study.by[0]
+    chosen, scenario = study.by[0], shape.scenario
     return {
         "environment": study.env_id,
         "options": plain(study.env_kwargs),
@@ -134,12 +135,12 @@ def _report(
         f"{done[f'static-{chosen}']['blocks']} blocks of the log; rules: block bootstrap over "
         f"{len(tuning)} windows",
         "static": {
-            name: _parameters(shape, done[f"static-{name}"]) | _scores(looked[name])
+            name: _parameters(shape, done[f"static-{name}"]) | _scores(scenario, looked[name])
             for name in study.by
         },
-        "nominal": _scores(looked[NOMINAL]),
+        "nominal": _scores(scenario, looked[NOMINAL]),
         "rules": [done[f"rule-{name}"] for name in study.rules],
-        "channels": _channels(shape.scenario, test, looked[chosen]),
+        "channels": _channels(scenario, test, looked[chosen]),
         "matrices": matrices(shape, tuning, settings[chosen]),
     }
 
@@ -170,10 +171,15 @@ def _value(theta: float | None, logarithmic: bool) -> float | None:
     return float(np.exp(theta)) if logarithmic else float(theta)
 
 
-def _scores(looked: Innovations) -> dict[str, Any]:
-    """RMSE on the test part where the truth is known there, and NIS of each channel."""
-    e = looked.normalised
-    scores: dict[str, Any] = {"nis": float(np.nanmean(e**2))}
+def _scores(scenario: Any, looked: Innovations) -> dict[str, Any]:
+    """NIS of all channels together and of each group; RMSE where the truth is known."""
+    square, group = looked.normalised**2, np.array(scenario.sensor.group_of_channel)
+    nis: dict[str, float | None] = {"all": looked.joint_nis}
+    for g, name in enumerate(scenario.sensor.groups):
+        arrived = square[..., group == g]
+        arrived = arrived[~np.isnan(arrived)]
+        nis[name] = float(arrived.mean()) if len(arrived) else None
+    scores: dict[str, Any] = {"nis": nis}
     if looked.rmse is not None:
         scores["rmse_median"] = float(np.median(looked.rmse))
         scores["rmse_geometric_mean"] = float(np.exp(np.mean(np.log(looked.rmse))))
