@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from kfenv.agents.tuning.diagnostics import Innovations, channel_report, lag_cor
 from kfenv.agents.tuning.estimation import estimate
 from kfenv.agents.tuning.findings import as_yaml, lines_to_paste, warnings
 from kfenv.agents.tuning.noise import NoiseShape
+from kfenv.agents.tuning.study import Study, run_study
 from rollouts import BISTATIC, draw
 from scipy.optimize import minimize
 from typer.testing import CliRunner
@@ -22,6 +24,8 @@ from kfenv.models.model import Component
 from kfenv.models.namespaces import batch
 from kfenv.scenarios.recording import stack
 
+RINEX = Path(__file__).parents[2] / "shared" / "data" / "rinex"
+BUS = RINEX / "bus_phone.20o", RINEX / "bus_phone.20n"
 CALM = {"faults": "none", "duration": 12.0, "rate": 5.0}
 TRUE_Q, TRUE_R = 4.0, np.array([3.0, 0.5, 1.0])  # over the told variance, and deviations
 
@@ -228,6 +232,18 @@ def test_a_warning_names_what_is_wrong_and_the_remedy(changes, said):
     else:
         [sentence] = told
         assert re.search(said, sentence)
+
+
+@pytest.mark.skipif(not BUS[0].exists(), reason="needs ../shared/data/rinex/bus_phone.20o")
+@pytest.mark.filterwarnings("ignore:.*ephemerides")
+def test_a_real_phones_log_is_tuned_without_truth(tmp_path):
+    """Its innovations, together and those of pseudoranges, are near one where none was tuned."""
+    kwargs = {"rinex": list(map(str, BUS)), "moving": True, "duration": 30.0}
+    told = run_study(Study("kfenv/GnssTracking-v0", kwargs, episodes=8), tmp_path)
+    nominal, tuned = told["nominal"]["nis"], told["static"]["likelihood"]["nis"]
+    assert nominal["rate"] < 0.1 and nominal["all"] > 2.0
+    assert 0.5 < tuned["all"] < 2.0 and 0.5 < tuned["pseudorange"] < 2.0
+    assert tuned["rate"] > 5.0 * nominal["rate"]
 
 
 def test_the_command_tells_and_goes_on(tmp_path):

@@ -12,7 +12,7 @@ from kfenv.agents.contestants.registry import make_agent
 from rollouts import BISTATIC, INERTIAL, TRACKING, change, draw, make, short
 from typer.testing import CliRunner
 
-LABEL_FREE = tuple(name for name in YARDSTICKS if name != "error")
+LABEL_FREE = tuple(name for name in YARDSTICKS if name not in ("error", "axes"))
 CALM = {"faults": "none", "duration": 12.0, "rate": 5.0}
 
 
@@ -89,3 +89,14 @@ def test_the_command_tunes_on_what_it_is_told(tmp_path):
     told = runner.invoke(app, ["evaluate", BISTATIC, "--tune-on", "truth", "--output",
                                str(tmp_path / "no")])  # fmt: skip
     assert told.exit_code == 2 and "withheld" in told.output
+
+
+def test_neither_axis_is_bought_by_the_other():
+    """The fixed filter costs one; halving one axis is worth as much as halving the other."""
+    recording, place = draw(BISTATIC, range(4)), (BISTATIC, short(BISTATIC))
+    both = [make_agent(name) for name in ("fixed", "huber-gate")]
+    told = [costs("axes", agent, *place, recording, 0).mean() for agent in both]
+    offs = [rollout(agent, *place, recording, trace=True).off for agent in both]
+    horizontal, vertical = ([np.sum(off[..., a] ** 2) for off in offs] for a in ([0, 1], [2]))
+    wanted = 0.5 * (horizontal[1] / horizontal[0] + vertical[1] / vertical[0])
+    assert told == [pytest.approx(1.0), pytest.approx(wanted)]

@@ -68,9 +68,10 @@ Option = Annotated[
 TuneOn = Annotated[
     str,
     typer.Option(
-        metavar="error|likelihood|consistency|withheld",
-        help="What tuning makes small. error: of the position, which needs the truth. The others "
-        "need none: likelihood of the next innovation, with the knobs held; consistency, NIS and "
+        metavar="error|likelihood|consistency|withheld|axes",
+        help="What tuning makes small. error: of the position, which needs the truth. axes: of "
+        "horizontal and vertical error alike, so that none is bought by the other. The others need "
+        "no truth: likelihood of the next innovation, with the knobs held; consistency, NIS and "
         "whiteness of the same; withheld, the error of foreseeing one to three measurements kept "
         "from the filter. By likelihood alone, noise that is tuned without the process noise reads "
         "manoeuvres as noise: name agents that have process_noise among their parameters.",

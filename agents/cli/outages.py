@@ -12,7 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from .console import complaints, console
-from .options import Option, Rate, Seed, env_kwargs
+from .options import Option, Rate, Seed, TuneOn, env_kwargs
 
 ENVIRONMENT = "kfenv/InsGnss-v0"
 
@@ -30,6 +30,7 @@ def outages(
     tuning_episodes: Annotated[
         int, typer.Option(min=1, help="Outages in the log's first 30 % to tune on.")
     ] = 17,
+    tune_on: TuneOn = "error",
     seed: Seed = 0,
     rate: Rate = None,
     option: Option = None,
@@ -51,7 +52,7 @@ def outages(
             f"{len(times)} outages: horizontal / vertical RMS, m"))  # fmt: skip
         for name in agent or ("fixed",):
             errors = outage_errors(
-                ENVIRONMENT, kwargs, name, times, (tuning_trials, tuning_episodes), seed
+                ENVIRONMENT, kwargs, name, times, (tuning_trials, tuning_episodes), seed, tune_on
             )
             table.add_row(name, *_cells(errors))
         console.print(table)

@@ -17,7 +17,7 @@ from .contest import Contest
 from .rollout import check_scored, draw_episodes, scenario_and_options
 from .scores import read_cost, read_scores, scores_path
 from .summary import NOMINAL, TUNED, summarise
-from .yardsticks import ERROR
+from .yardsticks import AXES, ERROR
 
 # What is compared, not on what: an evaluated folder may gain agents and change the rival.
 COMPARED = ("agents", "against", "policies")
@@ -134,7 +134,7 @@ def _complain_first(contest: Contest) -> None:
             tuning = draw_episodes(
                 *contest.tuning_place, "tuning", contest.seed, contest.tuning_episodes
             )
-            if contest.tune_on == ERROR:
+            if contest.tune_on in (ERROR, AXES):
                 check_scored(tuning)
     episode = draw_episodes(*place, contest.split, contest.seed, 1)
     for contestant in map(make_agent, contest.all_agents):

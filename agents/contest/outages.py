@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..contestants.registry import make_agent
 from .rollout import draw_episodes, rollout, scenario_and_options
 from .tuning import tune
+from .yardsticks import ERROR
 
 Array = NDArray[np.float64]
 
@@ -19,7 +20,7 @@ AFTER = (5.0, 10.0, 15.0)  # s
 
 def outage_errors(
     env_id: str, env_kwargs: dict[str, Any], name: str, times: Sequence[float],
-    tuning: tuple[int, int] = (0, 0), seed: int = 0,
+    tuning: tuple[int, int] = (0, 0), seed: int = 0, on: str = ERROR,
 ) -> Array:  # fmt: skip
     """Horizontal and vertical errors (N, 3, 2), m, of an agent 5, 10 and 15 s into N outages.
 
@@ -29,6 +30,7 @@ def outage_errors(
         times: of the last fix before each outage, s of the log's clock.
         tuning: trials for each parameter, and outages in the part for training to tune on.
         seed: of the tuning.
+        on: what tuning makes small, see `kfenv.agents.contest.yardsticks.costs`.
 
     Raises:
         ValueError: if there is no log, or an outage is not within it.
@@ -46,7 +48,7 @@ def outage_errors(
     agent, (trials, episodes) = make_agent(name), tuning
     if trials > 0:
         drawn = draw_episodes(env_id, env_kwargs, "tuning", seed, episodes)
-        agent = tune(agent, env_id, env_kwargs, drawn, trials, seed)
+        agent = tune(agent, env_id, env_kwargs, drawn, trials, seed, on=on)
     scores = rollout(agent, env_id, env_kwargs, scenario.outages_at(times), seed, trace=True)
     off = _at(scores.time, scores.off, scenario.duration - scenario.outage + np.array(AFTER))
     return np.stack([np.hypot(off[..., 0], off[..., 1]), np.abs(off[..., 2])], axis=-1)

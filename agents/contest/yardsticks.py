@@ -19,12 +19,13 @@ from kfenv.models.namespaces import batch
 from kfenv.scenarios.recording import Recording
 
 from ..contestants.agent import Agent, Contestant, RecordingFilter
+from ..contestants.registry import make_agent
 from .rollout import make_core, play, rollout, scenario_and_options
 
 Array = NDArray[np.float64]
 
-ERROR, WITHHELD = "error", "withheld"
-YARDSTICKS = (ERROR, *LABEL_FREE, WITHHELD)
+ERROR, AXES, WITHHELD = "error", "axes", "withheld"
+YARDSTICKS = (ERROR, *LABEL_FREE, WITHHELD, AXES)
 
 # Of so many measurements the last few are kept from the filter, which foresees them one by one.
 PERIOD, KEPT = 12, 3
@@ -38,6 +39,8 @@ def costs(
     """What tuning makes small, of each episode (N,).
 
     * ``"error"``: log of the position RMSE, m, which needs the truth.
+    * ``"axes"``: mean of the horizontal and the vertical mean square error, each over the fixed
+      filter's on all episodes, so that none is bought by the other.
     * ``"likelihood"``: minus the mean log-likelihood, over the nominal filter's and per channel
       that arrived, of the next innovation with the knobs held: the reward of that name, uncapped.
     * ``"consistency"``: minus the mean reward of that name; see an environment's page.
@@ -51,6 +54,10 @@ def costs(
     if on == ERROR:
         return np.log(rollout(contestant, env_id, env_kwargs, recording, seed).rmse)
     scenario, options = scenario_and_options(env_id, env_kwargs)
+    if on == AXES:
+        square = _of_both_axes(contestant, env_id, env_kwargs, recording, seed)
+        nominal = _of_both_axes(make_agent("fixed"), env_id, env_kwargs, recording, seed)
+        return np.mean(square / nominal.mean(axis=0), axis=1)
     contestant = contestant.suited_to(scenario)
     if on == WITHHELD:
         return _withheld(contestant, scenario, options, recording, seed)
@@ -74,6 +81,27 @@ def _unforeseen(agent: Agent, core: Core, recording: Recording, seed: int) -> Ar
             gained, arrived = gained + np.where(gone, 0.0, reward), arrived + ~lost
     mean = gained / np.maximum(arrived, 1.0)
     return np.where(lost, CAP + np.maximum(-mean, 0.0), -mean)
+
+
+def _of_both_axes(
+    contestant: Contestant, env_id: str, env_kwargs: dict[str, Any], recording: Recording,
+    seed: int,
+) -> Array:  # fmt: skip
+    """Horizontal and vertical mean squares (N, 2) over the decisions whose error is known.
+
+    A lost track is as far off both ways.
+    """
+    scenario, _ = scenario_and_options(env_id, env_kwargs)
+    scores = rollout(contestant, env_id, env_kwargs, recording, seed, trace=True)
+    assert recording.truth is not None and scores.off is not None and scores.error is not None
+    middle = recording.truth[:, len(recording.time) // 2, list(scenario.motion.position)]
+    frames = np.array([scenario.local_frame(place)[1] for place in middle])
+    local = np.einsum("nij,dnj->dni", frames, scores.off)
+    square = np.stack([np.sum(local[..., :2] ** 2, axis=-1), local[..., 2] ** 2], axis=-1)
+    known, far = ~np.isnan(scores.error)[..., None], scenario.lost_distance**2
+    square = np.where(known & np.isfinite(square), np.minimum(square, far), 0.0)
+    mean = np.sum(square, axis=0) / np.maximum(np.sum(known, axis=0), 1)
+    return np.where(scores.lost[:, None], far, mean)
 
 
 # ----- withheld measurements ------------------------------------------------------------------

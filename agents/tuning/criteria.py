@@ -17,6 +17,7 @@ from .innovations import instants
 Array = NDArray[np.float64]
 
 LIKELIHOOD, CONSISTENCY = "likelihood", "consistency"
+STATIC = LIKELIHOOD, WITHHELD, CONSISTENCY, ERROR
 FAILED = -100.0  # log-likelihood per channel that a filter which failed is given
 AT_ONCE = 20_000_000  # numbers that the series of all settings may hold
 
@@ -25,7 +26,7 @@ class Criterion:
     """A cost of static noise over blocks of a log, each counted with a weight.
 
     Args:
-        on: one of `kfenv.agents.contest.yardsticks.YARDSTICKS`. ``"likelihood"`` is the filter's
+        on: one of `STATIC`. ``"likelihood"`` is the filter's
             own; ``"consistency"`` the sum over channel groups of (log RMS)^2 + (lag-1
             correlation)^2 of the whitened innovations; the others are as for agents.
         scenario, options: of the environment.

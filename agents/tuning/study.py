@@ -15,12 +15,11 @@ from kfenv.names import unknown
 from kfenv.scenarios.recording import Recording
 
 from ..contest.rollout import draw_episodes, scenario_and_options
-from ..contest.yardsticks import YARDSTICKS
 from ..contestants.optimised import initial_noise_factor
 from ..files import clear_partial, is_free, read_json, write_json
 from ..plain import plain
 from .blocks import blocks_of
-from .criteria import Criterion
+from .criteria import STATIC, Criterion
 from .diagnostics import Innovations, channel_report, filter_innovations
 from .estimation import estimate
 from .noise import NoiseShape
@@ -59,8 +58,8 @@ class Study:
 
     def __post_init__(self) -> None:
         for name in self.by:
-            if name not in YARDSTICKS:
-                raise ValueError(unknown("yardstick", name, YARDSTICKS))
+            if name not in STATIC:
+                raise ValueError(unknown("yardstick", name, STATIC))
         for name, least in (("episodes", 1), ("test_episodes", 1), ("trials", 1)):
             if getattr(self, name) < least:
                 raise ValueError(f"{name} must be at least {least}, got {getattr(self, name)}.")
