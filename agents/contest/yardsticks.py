@@ -92,9 +92,14 @@ def _of_both_axes(
     A lost track is as far off both ways.
     """
     scenario, _ = scenario_and_options(env_id, env_kwargs)
+    if scenario.yardstick.name != "position":
+        raise ValueError(
+            f"{scenario.name} is scored by its {scenario.yardstick.name}, which has no horizontal "
+            f"and vertical: tune on {ERROR!r} instead of {AXES!r}."
+        )
     scores = rollout(contestant, env_id, env_kwargs, recording, seed, trace=True)
     assert recording.truth is not None and scores.off is not None and scores.error is not None
-    middle = recording.truth[:, len(recording.time) // 2, list(scenario.motion.position)]
+    middle = recording.truth[:, recording.truth.shape[1] // 2, list(scenario.motion.position)]
     frames = np.array([scenario.local_frame(place)[1] for place in middle])
     local = np.einsum("nij,dnj->dni", frames, scores.off)
     square = np.stack([np.sum(local[..., :2] ** 2, axis=-1), local[..., 2] ** 2], axis=-1)

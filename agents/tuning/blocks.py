@@ -19,7 +19,7 @@ def blocks_of(recording: Recording) -> Indices:
     what is the same instant of the log is in the same block.
     """
     piece, begin = _places(recording)
-    steps = len(recording.time)
+    steps = recording.measurement.shape[1]
     place = begin[:, None] + np.arange(steps)
     total = sum(int(np.ptp(place[piece == k])) + 1 for k in range(piece.max() + 1))
     width = min(float(steps), total / LEAST)
