@@ -159,3 +159,12 @@ def test_what_cannot_be_run_is_refused_before_anything_is_written(files, tmp_pat
     told = kfenv("run", RADAR, "--plots", files[0], "--output", tmp_path / "out", *more)
     assert told.exit_code == 2 and said in " ".join(told.output.split())
     assert not (tmp_path / "out").exists()
+
+
+def test_what_is_scored_but_no_position_is_drawn_over_time(tmp_path):
+    told = kfenv("run", "kfenv/Filter-v0", "--option", "duration=5", "--output", tmp_path / "out")
+    assert told.exit_code == 0, told.output
+    columns = table(tmp_path / "out")
+    [error] = (columns[name] for name in columns if name.startswith("error"))
+    assert np.isfinite(error).all() and not (tmp_path / "out" / "track.kml").exists()
+    assert (tmp_path / "out" / "map.png").read_bytes().startswith(b"\x89PNG")
