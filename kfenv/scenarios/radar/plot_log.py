@@ -19,6 +19,7 @@ from kfenv.models.model import Sensor
 from kfenv.scenarios.measured import measured_positions, measured_spreads
 from kfenv.scenarios.radar.plots import Plots
 from kfenv.scenarios.recording import Recording
+from kfenv.scenarios.scenario import MIN_RATE
 from kfenv.scenarios.smoothing import off_neighbours
 from kfenv.scenarios.windows import PARTS, no_room, withheld
 
@@ -26,7 +27,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-MAX_STEP = 1.0  # s: the longest that the motion models take
+MAX_STEP = 1.25  # s: a radar's plots that come once a second, more or less, are stepped to at once
 MAX_GAP = 60.0  # s without a plot
 MISSED = 2.0  # s without plots that judge a filter: in longer ones how it turns outweighs all else
 FIRST, LEARNT = 5, 5.0  # plots at least, and s of them, that tell where a window begins
@@ -70,7 +71,7 @@ class PlotLog:
     @property
     def rate(self) -> float:
         """Usual number of instants per second."""
-        return max(1.0 / float(np.median(np.diff(self.time))), 1.0 / MAX_STEP)
+        return max(1.0 / float(np.median(np.diff(self.time))), MIN_RATE)
 
     @cached_property
     def plots(self) -> Indices:

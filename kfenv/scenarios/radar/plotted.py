@@ -16,6 +16,7 @@ from kfenv.checks import is_number
 from kfenv.models.model import Sensor
 from kfenv.scenarios.radar.plot_log import (
     FIRST,
+    MAX_STEP,
     PlotLog,
     instants_of,
     make_log,
@@ -78,6 +79,11 @@ class Plotted(TrackingScenario):
             self.plots, self.sensor, None if site is None else tuple(site), smoothing,
             None if deviation is None else tuple(deviation),
         )  # fmt: skip
+
+    @property
+    def longest_step(self) -> float:
+        """The longest that the filter steps at once, s, with room for rounding."""
+        return super().longest_step if self.plots is None else MAX_STEP * (1.0 + 1e-6)
 
     @property
     def steps_per_measurement(self) -> int:
