@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kfenv.envs.drawing import ESTIMATE, TRUTH, fault_names, style, time_axis
+from kfenv.envs.drawing import ESTIMATE, TRUTH, style, time_axis
 from kfenv.envs.history import History
 from kfenv.envs.knobs import Knob
 from kfenv.envs.panels import ErrorPanel, Header, KnobPanel, Panel
@@ -51,8 +51,6 @@ class ComponentPanel(Panel):
         self.axes, self._place = axes, place
         style(axes, "", f"{component.name} ({component.unit})")
         time_axis(axes, history)
-        if place == 0:
-            fault_names(axes, history)
         axes.tick_params(labelbottom=False)
         if history.truth is not None:
             axes.plot(history.time, history.truth[:, place], color=TRUTH, lw=4, zorder=2)

@@ -94,11 +94,11 @@ def true_track(axes: Axes, history: History, unit: float) -> list[Line2D]:
 
 
 def told(value: float, unit: str) -> str:
-    """Whole metres, with a decimal below ten; three digits of else; a dash if it is not known."""
+    """Whole metres, with a decimal below ten; digits of what is less or else; a dash for NaN."""
     if np.isnan(value):
         return "-"
-    if unit != "m":
-        return f"{value:.3g} {unit}"
+    if unit != "m" or value < 0.95:
+        return f"{value:.2g} {unit}"
     return f"{value:.1f} m" if value < 9.95 else f"{value:.0f} m"
 
 
