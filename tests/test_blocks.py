@@ -52,7 +52,7 @@ def test_results_do_not_depend_on_blocks_and_processes(whole, tmp_path, monkeypa
     monkeypatch.setattr(ledger, "BLOCK", 4)
     assert bare(evaluate(small(), tmp_path / "out", processes=2)) == whole
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
-        "contest.json", "scores", "results.json"
+        "contest.json", "scores", "results.json", ".lock"
     }  # fmt: skip
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dead_runs import die_writing
+from dead_runs import die_writing, somebody_working_in
 from kfenv.agents.contest.cost import relative_cost
 from kfenv.agents.contest.evaluation import Contest, evaluate
 from kfenv.agents.contest.formatting import improvement, ratio
@@ -31,6 +31,10 @@ from kfenv.filters.engine import Engine
 ENV = "kfenv/RadarTracking-v0"
 SHORT = {"rate": 2.0, "duration": 20.0}
 LINEAR = "kfenv/BistaticTracking-v0"
+QUICK = {
+    "env_id": LINEAR, "env_kwargs": {"duration": 2.0}, "agents": (), "episodes": 2,
+    "tuning_trials": 0,
+}  # fmt: skip
 
 
 def small(**changes):
@@ -304,7 +308,20 @@ def test_a_contest_that_was_killed_at_its_first_file_begins_anew(tmp_path, resum
     assert [path.name for path in folder.iterdir()] != []
     contest = small(agents=(), tuning_trials=0, episodes=2)
     evaluate(contest, folder, processes=1, resume=resume)
-    assert {path.name for path in folder.iterdir()} == {"contest.json", "scores", "results.json"}
+    assert {path.name for path in folder.iterdir()} == {
+        "contest.json", "scores", "results.json", ".lock"
+    }  # fmt: skip
+
+
+def test_a_folder_takes_one_contest_at_a_time_until_it_is_dead(tmp_path):
+    folder, contest = tmp_path / "out", small(**QUICK)
+    folder.mkdir()
+    with somebody_working_in(folder) as other:
+        for resume in (False, True):
+            with pytest.raises(RuntimeError, match=rf"process {other} works in .*out: wait"):
+                evaluate(contest, folder, 1, resume)
+        assert [path.name for path in folder.iterdir()] == [".lock"]
+    assert evaluate(contest, folder, processes=1)
 
 
 def test_bad_environment_keywords_leave_no_folder(tmp_path):

@@ -10,6 +10,7 @@ from dataclasses import replace
 import gymnasium as gym
 import numpy as np
 import pytest
+from dead_runs import somebody_working_in
 from kfenv.agents.cli.app import app
 from kfenv.agents.contest import suites
 from kfenv.agents.contest.recording_hash import recording_hash
@@ -104,6 +105,15 @@ def test_a_suite_tunes_once_resumes_and_takes_more_agents(tiny, tmp_path):
         run_suite(first, folder, processes=1)
     with pytest.raises(ValueError, match="another number of episodes"):
         run_suite(replace(first, episodes=3), folder, processes=1, resume=True)
+
+
+def test_a_suites_folder_takes_one_run_at_a_time_until_it_is_dead(tiny, tmp_path):
+    run, folder = SuiteRun("tiny", (), cases=()), tmp_path / "out"
+    folder.mkdir()
+    with somebody_working_in(folder) as other:
+        with pytest.raises(RuntimeError, match=rf"process {other} works in .*out: wait"):
+            run_suite(run, folder, processes=1)
+    assert run_suite(run, folder, processes=1)
 
 
 def test_agents_expect_the_faults_that_they_were_tuned_to(tiny):

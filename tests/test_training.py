@@ -3,13 +3,11 @@
 import itertools
 import json
 import signal
-import subprocess
-import sys
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from dead_runs import die_writing
+from dead_runs import die_writing, somebody_working_in
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from hypothesis import given
@@ -329,16 +327,9 @@ def test_a_damaged_record_is_named(tiny, tmp_path):
 
 def test_a_folder_takes_one_training_at_a_time_until_it_is_dead(tiny, tmp_path):
     tiny()
-    hold = (
-        "import sys, time; from pathlib import Path; from kfenv.agents.files import locked"
-        "\nwith locked(Path(sys.argv[1])): print(flush=True); time.sleep(600)"
-    )
-    command = [sys.executable, "-c", hold, str(tmp_path / "run")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE) as other:
-        other.stdout.readline()
-        with pytest.raises(RuntimeError, match=rf"process {other.pid} works in .*run: wait"):
+    with somebody_working_in(tmp_path / "run") as other:
+        with pytest.raises(RuntimeError, match=rf"process {other} works in .*run: wait"):
             tiny(steps=1024, resume=True)
-        other.kill()
     assert _record(tmp_path / "run")["steps"] == 512
     tiny(steps=1024, resume=True)
     assert _record(tmp_path / "run")["steps"] == 1024

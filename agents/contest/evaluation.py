@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 from ..contestants.learned import Learned
 from ..contestants.registry import make_agent
 from ..executor import Workers
-from ..files import blamed_on, clear_partial, is_free, read_json, write_json
+from ..files import blamed_on, is_free, locked, read_json, write_json
 from ..plain import plain
 from .blocks import play
 from .contest import Contest
@@ -42,7 +43,8 @@ def evaluate(
 
     Raises:
         FileExistsError: if the folder holds anything and ``resume`` is not set.
-        RuntimeError: if a worker process dies of a job twice; what else was done is kept.
+        RuntimeError: if a worker process dies of a job twice; what else was done is kept. Also if
+            another process works in the folder.
         ValueError: if it holds another contest, or an agent is unknown.
     """
     [results] = evaluate_all(
@@ -63,6 +65,22 @@ def evaluate_all(
         _complain_first(contest)
     for output, contest in contests.items():
         _admit(output, contest, resume)
+    with ExitStack() as until_done:
+        for output, contest in contests.items():
+            output.mkdir(parents=True, exist_ok=True)
+            until_done.enter_context(locked(output))
+            # Once more: another run may have ended in between
+            write_json(output / "contest.json", _admit(output, contest, resume))
+        return _run(contests, processes, started, advance)
+
+
+def _run(
+    contests: Mapping[Path, Contest],
+    processes: Workers,
+    started: Callable[[int], None],
+    advance: Callable[[Path, str], None],
+) -> dict[Path, list[dict[str, Any]]]:
+    """Run what is left of contests in their folders."""
     names = next(iter(contests.values())).all_agents
     sizes = {output: _episodes(contest) for output, contest in contests.items()}
     done = [(o, name) for o in contests for name in names if scores_path(o, name).exists()]
@@ -158,8 +176,8 @@ def check_log(
     check_scored(windows)
 
 
-def _admit(output: Path, contest: Contest, resume: bool) -> None:
-    """Take the folder for this contest, or complain before anything is touched."""
+def _admit(output: Path, contest: Contest, resume: bool) -> dict[str, Any]:
+    """What the folder shall hold of this contest; complains if it cannot, touching nothing."""
     told = {item.name: getattr(contest, item.name) for item in fields(contest)}
     content = plain(told) | {"policies": _digests(contest)}
     path = output / "contest.json"
@@ -180,9 +198,7 @@ def _admit(output: Path, contest: Contest, resume: bool) -> None:
                 f"The folder {output} holds another contest: name another folder, or repeat the "
                 "options that it was begun with."
             )
-    output.mkdir(parents=True, exist_ok=True)
-    clear_partial(output)
-    write_json(path, content)
+    return content
 
 
 def _continues(held: dict[str, Any], content: dict[str, Any]) -> bool:

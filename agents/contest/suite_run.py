@@ -15,7 +15,7 @@ from kfenv.names import unknown
 
 from ..contestants.registry import AGENTS, FILTERS, make_agent
 from ..executor import Workers
-from ..files import blamed_on, clear_partial, is_free, read_json, write_json
+from ..files import blamed_on, is_free, locked, read_json, write_json
 from .contest import Contest
 from .evaluation import evaluate_all
 from .recording_hash import recording_hash
@@ -95,18 +95,22 @@ def run_suite(
 
     Raises:
         FileExistsError: if the folder holds anything and ``resume`` is not set.
+        RuntimeError: if another process works in it.
         ValueError: if it holds another suite, or an agent or case is unknown.
     """
     cases, told = run.chosen, _told(run)
-    agents = _admit(output, told, run.agents, resume)
-    clear_partial(output)
-    contests = {output / name: run.contest(case, agents) for name, case in cases.items()}
-    write_json(output / "suite.json", told | {"agents": agents})
-    evaluate_all(
-        contests, processes, True, started, lambda folder, agent: advance(f"{folder.name}: {agent}")
-    )
-    results = _gather(run.suite, output, told)
-    write_json(output / "results.json", results)
+    _admit(output, told, run.agents, resume)
+    output.mkdir(parents=True, exist_ok=True)
+    with locked(output):
+        agents = _admit(output, told, run.agents, resume)  # another run may have ended meanwhile
+        contests = {output / name: run.contest(case, agents) for name, case in cases.items()}
+        write_json(output / "suite.json", told | {"agents": agents})
+        evaluate_all(
+            contests, processes, True, started,
+            lambda folder, agent: advance(f"{folder.name}: {agent}"),
+        )  # fmt: skip
+        results = _gather(run.suite, output, told)
+        write_json(output / "results.json", results)
     return results
 
 
@@ -175,12 +179,11 @@ def _told(run: SuiteRun) -> dict[str, Any]:
 
 
 def _admit(output: Path, told: dict[str, Any], agents: tuple[str, ...], resume: bool) -> tuple:
-    """The agents that the folder then has; complains before anything is touched."""
+    """The agents that the folder then has; complains if it is not for them, touching nothing."""
     for agent in agents:
         make_agent(agent)  # complains
     path = output / "suite.json"
     if is_free(output):
-        output.mkdir(parents=True, exist_ok=True)
         return agents
     if not resume:
         raise FileExistsError(

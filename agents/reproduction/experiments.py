@@ -13,7 +13,7 @@ from kfenv.names import unknown
 
 from ..carried import carried
 from ..executor import Workers
-from ..files import clear_partial, is_free
+from ..files import is_free, locked
 from . import (
     bistatic,
     gnss_tracking,
@@ -97,6 +97,7 @@ def reproduce(
 
     Raises:
         FileExistsError: if the folder holds anything and `resume` is not set.
+        RuntimeError: if another process works in it.
         ValueError: if there are too few runs to tell a spread, or the almanac is none or not used.
     """
     if runs is not None and runs < 2:
@@ -107,19 +108,18 @@ def reproduce(
         )
     if almanac is not None:
         _check_almanac(names, almanac)
-    clear_partial(output)
+    output.mkdir(parents=True, exist_ok=True)
     claims: list[Claim] = []
-    for name in names:
-        experiment = EXPERIMENTS[name]
-        folder = output / name
-        folder.mkdir(parents=True, exist_ok=True)
-        found = experiment.reproduce(
-            Laboratory(folder, runs or experiment.runs, seed, processes, progress, carried(almanac))
-        )
-        found = [replace(claim, runs=runs or experiment.runs, seed=seed) for claim in found]
-        write_claims(found, folder)
-        claims += found
-    write_claims(claims, output)
+    with locked(output):
+        for name in names:
+            experiment = EXPERIMENTS[name]
+            own, folder = runs or experiment.runs, output / name
+            folder.mkdir(parents=True, exist_ok=True)
+            place = Laboratory(folder, own, seed, processes, progress, carried(almanac))
+            found = [replace(claim, runs=own, seed=seed) for claim in experiment.reproduce(place)]
+            write_claims(found, folder)
+            claims += found
+        write_claims(claims, output)
     return claims
 
 
