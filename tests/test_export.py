@@ -20,7 +20,16 @@ from rollouts import BISTATIC, GNSS, INERTIAL, OWN, TRACKING, VALIDATION, short
 from typer.testing import CliRunner
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
-WARNINGS = ["-std=c99", "-O1", "-Wall", "-Wextra", "-pedantic", "-Werror"]
+WARNINGS = [
+    "-std=c99",
+    "-O1",
+    "-Wall",
+    "-Wextra",
+    "-pedantic",
+    "-Wshadow",
+    "-Wconversion",
+    "-Werror",
+]
 BY_CHANNEL = {"actions": ["fading", "channel_noise"], "observation": "full"}
 
 

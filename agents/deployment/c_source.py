@@ -141,7 +141,7 @@ def _factors(network: FactorNetwork | ChannelwiseNetwork) -> dict[str, str]:
         "CUT": f"((real){_number(MOST_DEVIATIONS)})",
     }  # fmt: skip
     arrays = "".join(f"#define {name} {size}\n" for name, size in sizes.items()) + "\n"
-    arrays += _places("inputs", "SEEN", inputs) + _places("outputs", "ASKED", outputs)
+    arrays += _places("seen_by", "SEEN", inputs) + _places("set_by", "ASKED", outputs)
     named["askers"] = np.bincount(outputs.ravel())
     arrays += "".join(_array(name, array) for name, array in named.items())
     return {"ARRAYS": arrays, "NETWORK": _filled("factor_network.c", {})}

@@ -31,7 +31,7 @@ static void ask(kfenv_state *state, int set, real logs[ASKED])
 {
     real z[SEEN], x[KEPT + HIDDEN], y[HIDDEN];
     for (int i = 0; i < SEEN; i++) {
-        z[i] = (real)((state->observation[inputs[set][i]] - mean[i]) / deviation[i]);
+        z[i] = (real)((state->observation[seen_by[set][i]] - mean[i]) / deviation[i]);
         z[i] = z[i] > CUT ? CUT : z[i] < -CUT ? -CUT : z[i];
     }
     affine(z, SEEN, weight_in, bias_in, HIDDEN, x + KEPT);
@@ -58,7 +58,7 @@ static void decide(kfenv_state *state)
     for (int set = 0; set < SETS; set++) {
         ask(state, set, logs);
         for (int j = 0; j < ASKED; j++)
-            wanted[outputs[set][j]] += logs[j] / askers[outputs[set][j]];
+            wanted[set_by[set][j]] += logs[j] / askers[set_by[set][j]];
     }
     for (int k = 0; k < KFENV_KNOBS; k++)
         state->action[k] = wanted[k] >= 0.0 ? wanted[k] / knob_high[k] : wanted[k] / -knob_low[k];
