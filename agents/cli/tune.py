@@ -46,7 +46,7 @@ def tune(
             help="groups: a factor on Q and on each channel group's deviation, as the knobs are. "
             "sources: one on each part of Q that is independent of the others (an axis, a clock). "
             "channels: one on each channel's deviation besides. full: a whole Q, which takes "
-            "minutes.",
+            "minutes and a long log.",
         ),
     ] = "groups",
     rule: Annotated[

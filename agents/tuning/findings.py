@@ -19,13 +19,16 @@ def warnings(report: dict[str, Any]) -> list[str]:
 
 
 def _of_noise(parameters: dict[str, Any]) -> Iterator[str]:
+    unmoved = [name for name, row in parameters.items() if not row["moved"]]
+    if unmoved:
+        yield (
+            f"No data moved {', '.join(unmoved)}: the log does not tell it, so leave it as it is, "
+            "choose a simpler --noise, or give a log that excites it."
+        )
     for name, row in parameters.items():
         if not row["moved"]:
-            yield (
-                f"No data moved {name}: the log does not tell it, so leave it as it is, or give a "
-                "log that excites it."
-            )
-        elif row["at_edge"]:
+            continue
+        if row["at_edge"]:
             yield (
                 f"{name} lies at the end of its range ({short(row['value'])}): the model lacks "
                 "something, or what it stands for hardly matters here."
