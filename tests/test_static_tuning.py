@@ -16,12 +16,14 @@ from kfenv.agents.tuning.estimation import estimate
 from kfenv.agents.tuning.findings import as_yaml, lines_to_paste, warnings
 from kfenv.agents.tuning.noise import NoiseShape
 from kfenv.agents.tuning.study import Study, run_study
+from plot_files import of_episode
 from rollouts import BISTATIC, draw
 from scipy.optimize import minimize
 from typer.testing import CliRunner
 
 from kfenv.models.model import Component
 from kfenv.models.namespaces import batch
+from kfenv.scenarios.radar.tracking import RadarTracking
 from kfenv.scenarios.recording import stack
 
 RINEX = Path(__file__).parents[2] / "shared" / "data" / "rinex"
@@ -244,6 +246,21 @@ def test_a_real_phones_log_is_tuned_without_truth(tmp_path):
     assert nominal["rate"] < 0.1 and nominal["all"] > 2.0
     assert 0.5 < tuned["all"] < 2.0 and 0.5 < tuned["pseudorange"] < 2.0
     assert tuned["rate"] > 5.0 * nominal["rate"]
+
+
+def test_a_radars_own_plots_are_tuned_without_truth(tmp_path):
+    """One long log of plots in windows, told deviations that are three times too small."""
+    scenario = RadarTracking(rate=1.0, duration=240.0, faults="none")
+    episode = scenario.sample([np.random.default_rng(5)])
+    path = of_episode(tmp_path / "plots.csv", scenario.sensor,
+                      replace(episode, noise=episode.noise / 3.0))  # fmt: skip
+    out = tmp_path / "out"
+    few = ["--option", "duration=20", "--episodes", "12", "--output", str(out)]
+    command = ["tune", "kfenv/RadarTracking-v0", "--plots", path, *few]
+    told = CliRunner().invoke(app, command)
+    assert told.exit_code == 0, told.output
+    found = json.loads((out / "report.json").read_text())
+    assert 0.5 < found["static"]["likelihood"]["nis"]["all"] < 2.0 < found["nominal"]["nis"]["all"]
 
 
 def test_the_command_tells_and_goes_on(tmp_path):

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kfenv.envs.options import Options
 from kfenv.names import unknown
 from kfenv.scenarios.recording import Recording
 
 from ..contest.rollout import draw_episodes, scenario_and_options
 from ..contestants.optimised import initial_noise_factor
-from ..files import clear_partial, is_free, read_json, write_json
+from ..files import is_free, locked, read_json, write_json
 from ..plain import plain
 from .blocks import blocks_of
 from .criteria import STATIC, Criterion
@@ -91,27 +92,41 @@ def run_study(
     tuning, test = study.draw("tuning", study.episodes), study.draw("test", study.test_episodes)
     shape = NoiseShape.of(study.shape, scenario, tuning)
     _admit(output, study, resume)
-    done: dict[str, Any] = {}
-    for job in study.jobs:
-        path = output / "jobs" / f"{job}.json"
-        started(job)
-        if not path.exists():
-            kind, _, name = job.partition("-")
-            if kind == "static":
-                criterion = Criterion(name, scenario, options, tuning, blocks_of(tuning))
-                result: Any = estimate(shape, criterion, study.seed, advance)
-            else:
-                result = tune_rule(
-                    name, study.env_id, study.env_kwargs, tuning, test, study.by[0],
-                    study.trials, study.seed, advance,
-                )  # fmt: skip
-            path.parent.mkdir(exist_ok=True)
-            write_json(path, _plain(asdict(result)))
-        done[job] = read_json(path, dict, "delete it, and --resume does it again")
-        advance()
-    report = _report(study, shape, tuning, test, done)
-    write_json(output / "report.json", report)
+    output.mkdir(parents=True, exist_ok=True)
+    with locked(output):
+        write_json(output / "study.json", _admit(output, study, resume))  # another may have ended
+        done = {}
+        for job in study.jobs:
+            started(job)
+            path = output / "jobs" / f"{job}.json"
+            if not path.exists():
+                path.parent.mkdir(exist_ok=True)
+                write_json(path, _do(job, study, shape, options, tuning, test, advance))
+            done[job] = read_json(path, dict, "delete it, and --resume does it again")
+            advance()
+        report = _report(study, shape, tuning, test, done)
+        write_json(output / "report.json", report)
     return report
+
+
+def _do(
+    job: str, study: Study, shape: NoiseShape, options: Options, tuning: Recording,
+    test: Recording, advance: Callable[[], None],
+) -> dict[str, Any]:  # fmt: skip
+    """One of the study's jobs, as plain values."""
+    kind, _, name = job.partition("-")
+    if kind == "static":
+        criterion = Criterion(name, shape.scenario, options, tuning, blocks_of(tuning))
+        result: Any = estimate(shape, criterion, study.seed, advance)
+    else:
+        result = tune_rule(
+            name, study.env_id, study.env_kwargs, tuning, test, study.by[0], study.trials,
+            study.seed, advance,
+        )  # fmt: skip
+    return {
+        key: value.tolist() if isinstance(value, np.ndarray) else value
+        for key, value in asdict(result).items()
+    }
 
 
 def _report(
@@ -213,16 +228,10 @@ def matrices(shape: NoiseShape, tuning: Recording, theta: Array) -> dict[str, An
     }
 
 
-def _plain(content: dict[str, Any]) -> dict[str, Any]:
-    return {
-        key: value.tolist() if isinstance(value, np.ndarray) else value
-        for key, value in content.items()
-    }
-
-
-def _admit(output: Path, study: Study, resume: bool) -> None:
-    """Take the folder for this study, or complain before anything is touched."""
-    content = json.loads(json.dumps(asdict(study)))
+def _admit(output: Path, study: Study, resume: bool) -> dict[str, Any]:
+    """What the folder is to say of this study; complains if it holds another."""
+    own = {item.name: getattr(study, item.name) for item in fields(study)}
+    content = json.loads(json.dumps(own | {"env_kwargs": plain(study.env_kwargs)}))
     path = output / "study.json"
     if output.exists() and not output.is_dir():
         raise FileExistsError(f"{output} is a file: name a folder for the results.")
@@ -240,6 +249,4 @@ def _admit(output: Path, study: Study, resume: bool) -> None:
                 f"The folder {output} holds another study: name another folder, or repeat the "
                 "options that it was begun with."
             )
-    output.mkdir(parents=True, exist_ok=True)
-    clear_partial(output)
-    write_json(path, content)
+    return content
