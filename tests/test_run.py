@@ -10,6 +10,7 @@ import pytest
 from kfenv.agents.cli.app import app
 from kfenv.agents.contest.rollout import draw_episodes
 from kfenv.agents.running.filtering import filtered
+from kfenv.agents.running.parameters import tuned_values
 from plot_files import of_episode, truth_of, written
 from typer.testing import CliRunner
 
@@ -118,6 +119,18 @@ def test_parameters_are_taken_from_the_line_and_from_a_contest(files, tmp_path):
     np.testing.assert_allclose(columns["knob_range_noise"], tuned, rtol=1e-9)
 
 
+def test_static_noise_and_rules_that_tune_chose_are_taken(tmp_path):
+    chosen = {"process_noise": {"value": 0.5}, "range_noise": {"value": 2.0}}
+    report = {"by": ["likelihood"], "static": {"likelihood": {"parameters": chosen}},
+              "rules": [{"name": "huber-gate", "values": {"threshold": 3.0}}]}  # fmt: skip
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    expected = {"process_noise": 0.5, "range_noise": 2.0}
+    assert tuned_values(tmp_path, "fixed-tuned") == expected
+    assert tuned_values(tmp_path, "huber-gate") == {"threshold": 3.0}
+    with pytest.raises(ValueError, match="tells nothing of nis-gate, but of fixed-tuned, huber"):
+        tuned_values(tmp_path, "nis-gate")
+
+
 def test_a_simulated_episode_is_the_first_that_a_contest_tests_on(tmp_path):
     kwargs = {"rate": 2.0, "duration": 15.0}
     told = kfenv("run", RADAR, "--rate", 2, "--option", "duration=15", "--seed", 4,
@@ -153,7 +166,7 @@ def test_a_lost_track_is_told_and_begun_anew(tmp_path):
     (["--agent", "huber-gate", "--value", "treshold=3"], "Unknown parameter of huber-gate"),
     (["--value", "process_noise"], "is not of the form KEY=NUMBER"),
     (["--agent", "clairvoyant"], "is shown what nobody knows of a real log"),
-    (["--tuned", "nowhere"], "nowhere holds no scores of fixed"),
+    (["--tuned", "nowhere"], "nowhere holds nothing of fixed"),
 ])  # fmt: skip
 def test_what_cannot_be_run_is_refused_before_anything_is_written(files, tmp_path, more, said):
     told = kfenv("run", RADAR, "--plots", files[0], "--output", tmp_path / "out", *more)

@@ -43,7 +43,10 @@ def run(
     ] = None,
     tuned: Annotated[
         Path | None,
-        typer.Option(help="Folder of an `evaluate` whose tuned parameters the agent takes."),
+        typer.Option(
+            help="Folder of an `evaluate` or a `tune` whose parameters the agent takes; static "
+            "noise of `tune` is for the agent fixed-tuned."
+        ),
     ] = None,
     seed: Seed = 0,
     rate: Rate = None,
@@ -125,14 +128,10 @@ def _endings(result: Estimates) -> list[str]:
 
 
 def _values(value: list[str] | None, tuned: Path | None, agent: str) -> dict[str, float]:
-    """Parameters from a contest's folder, and those given over them."""
-    from ..contest.scores import read_values, scores_path
+    """Parameters that were tuned, and those given over them."""
+    from ..running.parameters import tuned_values
 
-    values: dict[str, float] = {}
-    if tuned is not None:
-        if not scores_path(tuned, agent).exists():
-            raise ValueError(f"{tuned} holds no scores of {agent}: contest it there first.")
-        values |= read_values(tuned, agent)
+    values = {} if tuned is None else tuned_values(tuned, agent)
     for item in value or ():
         key, _, number = item.partition("=")
         try:
