@@ -1,4 +1,4 @@
-"""Contests as independent jobs: the tuning of an agent, and an agent on a block of episodes.
+"""Contests as independent jobs: a trial of an agent's tuning, or an agent on a block of episodes.
 
 Where the blocks begin does not depend on who runs them, and each episode has a generator of its
 own: whatever runs the jobs, and in whatever order, the scores are the same to the bit.
@@ -9,8 +9,13 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
+
+from kfenv.scenarios.recording import Recording
 
 from ..carried import carried
 from ..contestants.agent import Contestant
@@ -22,13 +27,16 @@ from .ledger import Ledger, Values
 from .rollout import draw_episodes, rollout
 from .scores import Scores
 from .summary import NOMINAL
-from .tuning import tune
+from .tuning import Search, parameters_of
+from .yardsticks import costs
 
 
-class Tuning(NamedTuple):
-    """An agent is tuned."""
+class Trial(NamedTuple):
+    """An agent with the values given meets the tuning episodes; `number` of those asked at once."""
 
     agent: str
+    number: int
+    values: Values
 
     def __str__(self) -> str:
         return f"{self.agent}, tuning"
@@ -61,22 +69,23 @@ class Work:
     sizes: tuple[int, ...]
     agents: dict[str, Contestant]
 
-    def __call__(self, job: Tuning | Block) -> Values | tuple[Scores, float | None]:
-        """The values that tuning found; or scores, and of a contest's first block the cost."""
-        return self._tune(job.agent) if isinstance(job, Tuning) else self._play(job)
+    def __call__(self, job: Trial | Block) -> float | tuple[Scores, float | None]:
+        """What a trial makes small; or scores, and of a contest's first block the cost."""
+        return self._try(job) if isinstance(job, Trial) else self._play(job)
 
     def prepare(self) -> None:
         """Compile what all agents need."""
         rollout(self.agents[NOMINAL], *self.contests[0].expected_place, self._draw(0, 0, 1))
 
-    def _tune(self, name: str) -> Values:
-        contest, agent = self.contests[0], self.agents[name]
-        if contest.tuning_trials < 1:
-            return agent.values
-        place, seed = contest.tuning_place, contest.seed
-        recording = draw_episodes(*place, "tuning", seed, contest.tuning_episodes)
-        trials, on = contest.tuning_trials, contest.tune_on
-        return tune(agent, *place, recording, trials, seed, on=on).values
+    def _try(self, job: Trial) -> float:
+        contest, agent = self.contests[0], self.agents[job.agent].with_values(job.values)
+        place, on = contest.tuning_place, contest.tune_on
+        return float(np.mean(costs(on, agent, *place, self._tuning_episodes, contest.seed)))
+
+    @cached_property
+    def _tuning_episodes(self) -> Recording:
+        contest = self.contests[0]
+        return draw_episodes(*contest.tuning_place, "tuning", contest.seed, contest.tuning_episodes)
 
     def _play(self, job: Block) -> tuple[Scores, float | None]:
         contest, agent = self.contests[job.contest], self.agents[job.agent].with_values(job.values)
@@ -115,7 +124,15 @@ def play(
     agents = {name: make_agent(name) for name in contests[0].all_agents}
     work = Work(tuple(map(_carried, contests)), tuple(sizes), agents)
     ledger = Ledger(sizes, folders, {name: agent.name for name, agent in agents.items()})
-    waiting: deque[Tuning | Block] = deque()
+    searches: dict[str, Search] = {}
+    waiting: deque[Trial | Block] = deque()
+
+    def ask(name: str) -> None:
+        """Have the next settings tried; if there are none, the best one scored."""
+        asked = searches[name].asked
+        waiting.extend(Trial(name, number, values) for number, values in enumerate(asked))
+        if not asked:
+            score(name, agents[name].with_values(searches[name].best).values)
 
     def score(name: str, values: Values) -> None:
         for contest in ledger.open_contests(name):
@@ -128,18 +145,31 @@ def play(
         ledger.close(contest, name)
         done(contest, name)
 
-    for name in agents:
-        values = ledger.values(name) if ledger.open_contests(name) else {}
-        if values is None:
-            waiting.append(Tuning(name))
-        else:
+    for name, agent in agents.items():
+        values = ledger.values(name)
+        if values is not None:
             score(name, values)
+        elif ledger.open_contests(name):
+            searches[name] = _begun(contests[0], agent, ledger.costs(name))
+            ask(name)
     for job, result in run_jobs(work, waiting, workers, work.prepare):
-        if isinstance(job, Tuning):
-            ledger.keep_values(job.agent, result)
-            score(job.agent, result)
-        elif ledger.keep(job.contest, job.agent, (job.begin, job.end), job.values, *result):
-            finish(job.contest, job.agent)
+        if isinstance(job, Block):
+            if ledger.keep(job.contest, job.agent, (job.begin, job.end), job.values, *result):
+                finish(job.contest, job.agent)
+        elif searches[job.agent].tell(job.number, result):
+            ledger.keep_costs(job.agent, searches[job.agent].costs)
+            ask(job.agent)
+
+
+def _begun(contest: Contest, agent: Contestant, known: Sequence[float]) -> Search:
+    """The search for an agent's parameters, which has been told the costs that are known."""
+    parameters = parameters_of(agent, *contest.tuning_place) if contest.tuning_trials else ()
+    search = Search(parameters, contest.tuning_trials, contest.seed)
+    while len(known) - len(search.costs) >= len(search.asked) > 0:
+        begin = len(search.costs)
+        for number in range(len(search.asked)):
+            search.tell(number, known[begin + number])
+    return search
 
 
 def _carried(contest: Contest) -> Contest:

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
+
 from ..files import read_json, write_json
 from .scores import REMEDY, Scores, joined, read_values, scores_path, store, write_scores
 
@@ -36,16 +38,21 @@ class Ledger:
         return [i for i, folder in folders if not scores_path(folder, agent).exists()]
 
     def values(self, agent: str) -> Values | None:
-        """What tuning found for the agent, or None if it has not been tuned yet."""
-        path = self._place(0, agent) / "values.json"
+        """What tuning found for the agent that has been scored; None if it has not."""
         if scores_path(self._folders[0], agent).exists():
             return read_values(self._folders[0], agent)
-        return read_json(path, dict, REMEDY) if path.exists() else None
+        return None
 
-    def keep_values(self, agent: str, values: Values) -> None:
-        """Store what tuning found."""
+    def costs(self, agent: str) -> list[float]:
+        """What tuning has been told of the agent's settings so far."""
+        path = self._place(0, agent) / "costs.json"
+        told = read_json(path, list, REMEDY) if path.exists() else []
+        return [np.nan if cost is None else cost for cost in told]
+
+    def keep_costs(self, agent: str, costs: Sequence[float]) -> None:
+        """Store what tuning has been told, from which it takes the same course again."""
         self._place(0, agent).mkdir(parents=True, exist_ok=True)
-        write_json(self._place(0, agent) / "values.json", values)
+        write_json(self._place(0, agent) / "costs.json", list(costs))
 
     def missing(self, contest: int, agent: str) -> list[tuple[int, int]]:
         """Begin and end of the blocks that are not there yet."""

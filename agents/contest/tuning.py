@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from kfenv.scenarios.recording import Recording
 from ..contestants.agent import Contestant, Parameter
 from .rollout import scenario_and_options
 from .yardsticks import ERROR, Array, costs
+
+Steps = Generator[list[Array], list[float], None]
 
 
 def tune(
@@ -41,61 +43,128 @@ def tune(
         on: see `kfenv.agents.contest.yardsticks.costs`; the error by default.
         tried: called with the values of each trial and the episodes' costs.
     """
+    search = Search(parameters_of(agent, env_id, env_kwargs), trials, seed)
+    while search.asked:
+        for number, values in enumerate(search.asked):
+            candidate = agent.with_values(values)
+            each = costs(on, candidate, env_id, env_kwargs, recording, seed)
+            tried(candidate.values, each)
+            advance()
+            search.tell(number, float(np.mean(each)))
+    return agent.with_values(search.best)
+
+
+def parameters_of(
+    agent: Contestant, env_id: str, env_kwargs: dict[str, Any]
+) -> tuple[Parameter, ...]:
+    """What tuning may choose of an agent in an environment."""
     scenario, options = scenario_and_options(env_id, env_kwargs)
     own = scenario.motion.groups
     knobs = choose_knobs(None, scenario.sensor.groups, options.mixture, state_groups=own)
-    parameters = agent.tunable(scenario, knobs)
-    trials *= len(parameters)
+    return agent.tunable(scenario, knobs)
+
+
+class Search:
+    """A tuning that asks for the costs of several settings at once, and is told them in any order.
+
+    Args:
+        parameters: to be chosen.
+        trials: how many settings may be tried for each.
+        seed: equal ones ask for the same, if they are told the same.
+
+    Attributes:
+        asked: settings whose costs are asked for; none when the search is over.
+        best: the setting of least cost so far; empty where there is nothing to choose.
+        costs: of all settings that were asked for before, in their order.
+    """
+
+    def __init__(self, parameters: tuple[Parameter, ...], trials: int, seed: int) -> None:
+        self._parameters = parameters
+        self._low = np.log([p.low for p in parameters])
+        self._span = np.log([p.high for p in parameters]) - self._low
+        self.best: dict[str, float] = {}
+        self.costs: list[float] = []
+        self._steps = self._search(trials * len(parameters), seed)
+        self._ask(None)
+
+    def tell(self, number: int, cost: float) -> bool:
+        """Take the cost of a setting by its number; whether others are then asked for, or none."""
+        self._told[number] = cost
+        if len(self._told) < len(self.asked):
+            return False
+        told = [self._told[i] for i in range(len(self.asked))]
+        for x, one in zip(self._points, told, strict=True):
+            if one < self._least[0]:
+                self._least, self.best = (one, np.array(x)), self._values(x)
+        self.costs += told
+        self._ask(told)
+        return True
+
+    def _ask(self, told: list[float] | None) -> None:
+        """Go on to the next settings, knowing the costs of the last ones."""
+        self._told = {}
+        try:
+            self._points = self._steps.send(told)
+        except StopIteration:
+            self._points = []
+        self.asked = [self._values(x) for x in self._points]
+
+    def _search(self, trials: int, seed: int) -> Steps:
+        """Yields points of the unit box, and is sent their costs."""
+        if trials < 1:
+            return
+        defaults = np.log([p.default for p in self._parameters])
+        start = (defaults - self._low) / self._span
+        self._least, self.best = (np.inf, start), self._values(start)
+        spread = (trials - 1) // 3 if len(start) > 1 else 0
+        yield [start, *np.random.default_rng(seed).uniform(size=(spread, len(start)))]
+        if len(start) == 1:
+            yield from _brent(trials - 1)
+        else:
+            yield from _evolve(self._least[1], trials - 1 - spread, seed)
+
+    def _values(self, x: Array) -> dict[str, float]:
+        logarithms = self._low + self._span * x
+        names = [p.name for p in self._parameters]
+        return {n: float(np.exp(v)) for n, v in zip(names, logarithms, strict=True)}
+
+
+def _brent(trials: int) -> Steps:
+    """Minimise over [0, 1] with the given number of evaluations, one at a time.
+
+    SciPy calls for costs where they are yielded here, so its search is begun again with each one
+    that is known; it takes the same course.
+    """
+    from scipy.optimize import minimize_scalar
+
+    known: dict[float, float] = {}
+    while trials > 0:
+        try:
+            minimize_scalar(
+                lambda x: known[float(x)], bounds=(0.0, 1.0), method="bounded",
+                options={"maxiter": trials},
+            )  # fmt: skip
+        except KeyError as unknown:
+            point = unknown.args[0]
+            [known[point]] = yield [np.array([point])]
+        else:
+            return
+
+
+def _evolve(start: Array, trials: int, seed: int) -> Steps:
+    """Minimise over the unit box with the given number of evaluations, a generation at a time."""
     if trials < 1:
-        return agent
-    low = np.log([p.low for p in parameters])
-    span = np.log([p.high for p in parameters]) - low
-    start = (np.log([p.default for p in parameters]) - low) / span
-    best = (np.inf, start)
-
-    def cost(x: np.ndarray) -> float:
-        nonlocal best
-        candidate = agent.with_values(_values(parameters, low + span * x))
-        each = costs(on, candidate, env_id, env_kwargs, recording, seed)
-        tried(candidate.values, each)
-        value = float(np.mean(each))
-        if value < best[0]:
-            best = (value, np.array(x))
-        advance()
-        return value
-
-    cost(start)
-    spread = (trials - 1) // 3 if len(start) > 1 else 0
-    for x in np.random.default_rng(seed).uniform(size=(spread, len(start))):
-        cost(x)
-    _search(cost, best[1], trials - 1 - spread, seed)
-    return agent.with_values(_values(parameters, low + span * best[1]))
-
-
-def _values(parameters: tuple[Parameter, ...], logarithms: np.ndarray) -> dict[str, float]:
-    return {p.name: float(np.exp(v)) for p, v in zip(parameters, logarithms, strict=True)}
-
-
-def _search(cost: Callable, start: np.ndarray, trials: int, seed: int) -> None:
-    """Minimise over the unit box with the given number of evaluations."""
-    if trials < 1:
-        return
-    if len(start) == 1:
-        from scipy.optimize import minimize_scalar
-
-        minimize_scalar(
-            lambda x: cost(np.array([x])), bounds=(0.0, 1.0), method="bounded",
-            options={"maxiter": trials},
-        )  # fmt: skip
         return
     import cma
 
+    # A generator of its own, since several searches take turns; the numbers are those of cma's.
+    randn = np.random.RandomState(seed + 1).randn
     inside = np.clip(start, 0.02, 0.98)
-    options = {"bounds": [0.0, 1.0], "seed": seed + 1, "verbose": -9, "maxfevals": trials}
+    options = {"bounds": [0.0, 1.0], "randn": randn, "verbose": -9, "maxfevals": trials}
     search = cma.CMAEvolutionStrategy(inside, 0.15, options)
     while trials > 0 and not search.stop():
         candidates = search.ask()[:trials] if trials < search.popsize else search.ask()
-        costs = [cost(candidate) for candidate in candidates]
+        costs = yield candidates
         trials -= len(candidates)
         if len(candidates) == search.popsize:
             search.tell(candidates, costs)
