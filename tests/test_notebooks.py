@@ -62,7 +62,7 @@ SHORT = {
         "assert mismatch < 1e-9",
     ),
     "your_own_filter": (
-        "TRIALS, EPISODES = 1, 8",
+        "TRIALS, EPISODES = 1, 6",
         "error = {r['agent']: r['rmse_geometric_mean'] for r in results}\n"
         "assert error['clairvoyant'] < error['fixed'] and best in error\n"
         # the filter that is fed by hand is the one of the contest
