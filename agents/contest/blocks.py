@@ -146,6 +146,7 @@ def play(
         done(contest, name)
 
     for name, agent in agents.items():
+        ledger.tidy(name)
         values = ledger.values(name)
         if values is not None:
             score(name, values)

@@ -74,9 +74,18 @@ class Ledger:
         """Make the scores out of all blocks."""
         paths = list(self._paths(contest, agent).values())
         write_scores(self._folders[contest], agent, *joined(paths))
-        shutil.rmtree(self._place(contest, agent))
+        self._remove_blocks(contest, agent)
+
+    def tidy(self, agent: str) -> None:
+        """Remove blocks of which there are scores: a run died before it could."""
+        for contest in set(range(len(self._folders))) - set(self.open_contests(agent)):
+            self._remove_blocks(contest, agent)
+
+    def _remove_blocks(self, contest: int, agent: str) -> None:
+        place = self._place(contest, agent)
+        shutil.rmtree(place, ignore_errors=not place.exists())
         with suppress(OSError):  # of other agents there are blocks
-            self._place(contest, agent).parent.rmdir()
+            place.parent.rmdir()
 
     def _place(self, contest: int, agent: str) -> Path:
         return self._folders[contest] / "blocks" / self._names[agent]
