@@ -18,6 +18,7 @@ from .limit import limit
 from .outages import outages
 from .reproduction import claims, reproduce
 from .run import run
+from .soak import soak
 from .speed import bench
 from .suites import leaderboard, suite, suites
 from .training import train
@@ -48,4 +49,5 @@ app.command()(reproduce)
 app.command()(claims)
 app.command()(bench)
 app.command()(fuzz)
+app.command()(soak)
 app.command()(demo)
