@@ -14,6 +14,7 @@ from inertial_logs import car
 from kfenv.agents.contestants.policy import FORMER_FORMAT, write_policy
 from kfenv.agents.contestants.policy_file import write_arrays
 from moving_receivers import ALPHA, BETA, calendar, drive, write_truth
+from plot_files import of_episode, truth_of
 from policies import about, random_arrays
 from rinex_files import header_line
 
@@ -21,6 +22,7 @@ from kfenv.models.gnss.almanac import baseline_constellation
 from kfenv.models.gnss.orbits import EARTH_RATE, WEEK
 from kfenv.scenarios.gnss.rinex import read_observations
 from kfenv.scenarios.inertial.files import GNSS_COLUMNS, IMU_COLUMNS, TRUTH_COLUMNS
+from kfenv.scenarios.radar.tracking import RadarTracking
 
 SAMPLES = Path(__file__).parents[1] / "agents" / "fuzzing" / "samples"
 
@@ -32,6 +34,14 @@ def write_tracks(folder):
     save(folder / "flight.csv", rows, ("t", "lat", "lon", "alt_m"), "%.6f")
     feet = np.column_stack((rows[:, 3] / 0.3048, rows[:, :3], np.arange(len(rows))))
     save(folder / "feet.csv", feet[::-1][::2], ("alt_ft", "t", "lat", "lon", "squawk"), "%.6f")
+
+
+def write_plots(folder):
+    """Plots of a simulated flight twice a second, with gaps and deviations, and its truth."""
+    scenario = RadarTracking(rate=2.0, duration=60.0)
+    episode = scenario.sample([np.random.default_rng(2)])
+    of_episode(folder / "plots.csv", scenario.sensor, episode, "%.8g")
+    truth_of(folder / "truth.csv", episode, "%.8g")
 
 
 def write_rinex(folder):
@@ -150,7 +160,8 @@ def save(path, table, names, form):
 
 if __name__ == "__main__":
     for name, write in (
-        ("tracks", write_tracks), ("rinex", write_rinex), ("ins", write_inertial),
+        ("tracks", write_tracks), ("plots", write_plots), ("rinex", write_rinex),
+        ("ins", write_inertial),
         ("policies", write_policies), ("almanac", lambda f: write_almanac(f / "baseline.yuma")),
     ):  # fmt: skip
         (SAMPLES / name).mkdir(parents=True, exist_ok=True)

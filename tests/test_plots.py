@@ -144,3 +144,23 @@ def test_slow_and_small_targets_are_not_taken_for_wrong_units(tmp_path):
     assert read(tmp_path, HEADER, rows(value=noisy * UNIT)).complete.all()
     drone = np.stack([300.0 + 4.0 * TIME, 0.3 + 0.001 * TIME, 0.3 + 0.0 * TIME], axis=1)
     assert read(tmp_path, HEADER, rows(value=drone * UNIT)[:100]).complete.all()
+
+
+def test_a_deviation_of_nothing_is_not_looked_at(tmp_path):
+    lines = [f"{line},20" for line in rows()]
+    lines[5] = "2.5,,,,-1"
+    plots = read(tmp_path, f"{HEADER},range_std_m", lines)
+    assert np.isnan(plots.deviation[5, 0]) and (plots.deviation[:5, 0] == 20.0).all()
+
+
+def test_a_header_that_holds_the_whole_file_gives_a_short_complaint(tmp_path):
+    told = said(tmp_path, ",".join([f"{HEADER},azimuth_std", *rows()]), rows())
+    assert len(told) < 330
+
+
+def test_numbers_that_no_radar_measures_are_refused(tmp_path):
+    assert "metres within 1e+08" in said(tmp_path, HEADER, changed(2, 0, 1e9))
+    lines = [f"{line},1e-300" for line in rows()]
+    assert "from 1e-05 to 1e+06" in said(tmp_path, f"{HEADER},azimuth_std_deg", lines)
+    moment = [*rows(), f"1e-300,{rows()[9].split(',', 1)[1]}"]
+    assert "have the same 't'" in said(tmp_path, HEADER, moment)

@@ -13,16 +13,19 @@ import numpy as np
 from numpy.random import Generator, default_rng
 
 from kfenv.models.gnss.almanac import read_yuma
+from kfenv.models.radar import radar
 from kfenv.scenarios.gnss.ephemeris import read_navigation, satellite_states
-from kfenv.scenarios.gnss.log import PARTS
 from kfenv.scenarios.gnss.reading import log_of
 from kfenv.scenarios.gnss.rinex import read_observations
 from kfenv.scenarios.gnss.tracking import GnssTracking
 from kfenv.scenarios.inertial.files import read_fixes, read_imu
 from kfenv.scenarios.inertial.ins_gnss import InsGnss
 from kfenv.scenarios.positions import read_positions
+from kfenv.scenarios.radar.plots import read_plots
+from kfenv.scenarios.radar.tracking import RadarTracking
 from kfenv.scenarios.reports import load_track
 from kfenv.scenarios.tracks import flight, from_radar, window
+from kfenv.scenarios.windows import PARTS
 
 from ..contestants.policy import NumpyPolicy
 from .mutations import mutate
@@ -148,6 +151,18 @@ def _fly_track(path: Path) -> None:
         _finite("a window is", window(default_rng(0), smooth, short))
 
 
+def _read_plots(path: Path, *truth: Path) -> None:
+    plots = read_plots(path, radar())
+    _finite("times are", plots.time)
+    _finite("plots are", np.nan_to_num(plots.value, nan=0.0))
+
+
+def _replay_plots(*paths: Path) -> None:
+    scenario = RadarTracking(duration=6.0, plots=tuple(map(str, paths)))
+    scenario.sample([default_rng(0)])  # a Recording refuses what is not finite
+    scenario.whole()
+
+
 def _read_rinex(observations: Path, navigation: Path, *truth: Path) -> None:
     _finite("epochs are", read_observations(observations).time)
     sky = read_navigation(navigation)
@@ -203,6 +218,11 @@ def _read_policy(path: Path) -> None:
 
 READERS: dict[str, Reader] = {
     "tracks": Reader((("tracks/*.csv",),), _read_track, _fly_track),
+    "plots": Reader(
+        (("plots/plots*.csv", "plots/truth*.csv"), ("plots/plots*.csv",)),
+        _read_plots,
+        _replay_plots,
+    ),
     "rinex": Reader(
         (
             ("rinex/*.obs", "rinex/*.nav", "rinex/*.pos"),

@@ -32,6 +32,7 @@ MAX_GAP = 60.0  # s without a plot
 MISSED = 2.0  # s without plots that judge a filter: in longer ones how it turns outweighs all else
 FIRST, LEARNT = 5, 5.0  # plots at least, and s of them, that tell where a window begins
 FASTEST, HARDEST = 300.0, 5.0  # m/s and m/s^2, of a target that nothing is known of, 1 sigma
+FINEST = 0.01  # m: no plot is better, straight above a radar least of all
 JERK = 10.0  # m^2/s^5: how fast older plots lose their word on that
 PASSES, OUTLYING = 5, 3.0  # of the fit, and deviations from which on a plot counts less
 USUAL = 1.538  # median length of three normal numbers
@@ -190,10 +191,10 @@ def _whitened(since: Array, position: Array, spread: Array) -> tuple[Array, Arra
     """Rows (k, 3, 9) and right sides (k, 3) of plots at times (k,), of unit covariance each."""
     along = np.stack([np.ones_like(since), since, 0.5 * since**2], axis=1)
     rows = np.einsum("ij,kl->kijl", np.eye(3), along).reshape(len(since), 3, STATES)
-    left = JERK * np.abs(since) ** 5 / 20.0
-    covariance = spread.swapaxes(1, 2) @ spread + left[:, None, None] * np.eye(3)
+    left = np.sqrt(JERK * np.abs(since) ** 5 / 20.0 + FINEST**2)[:, None, None] * np.eye(3)
+    root = np.linalg.qr(np.concatenate([spread, left], axis=1), mode="r")
     both = np.concatenate([rows, position[:, :, None]], axis=2)
-    both = np.linalg.solve(np.linalg.cholesky(covariance), both)
+    both = np.linalg.solve(root.swapaxes(1, 2), both)
     return both[..., :STATES], both[..., STATES]
 
 
@@ -204,8 +205,8 @@ def _solved(rows: Array, sides: Array) -> tuple[Array, Array]:
     q, r = np.linalg.qr(np.vstack([known, rows.reshape(-1, STATES)]))
     right = q.T @ np.concatenate([np.zeros(6), sides.ravel()])
     solved = np.linalg.solve(r, np.column_stack([right, np.eye(STATES)]))
-    root = solved[:, 1:]
-    return solved[:, 0].copy(), np.linalg.cholesky(root @ root.T)
+    upper = np.linalg.qr(solved[:, 1:].T, mode="r")
+    return solved[:, 0].copy(), (np.sign(np.diagonal(upper))[:, None] * upper).T
 
 
 def make_log(

@@ -30,6 +30,10 @@ WHAT = "plots file"
 MIN_PLOTS = 10
 MAX_LATE = 43_200.0  # s by which a row may come out of order: a day that began anew falls more
 OTHERS = ("std", "sigma", "deviation", "bearing", "slant")  # in names that could be meant
+SOONEST = 1e-6  # s: plots closer than this have the same time
+FARTHEST = 1e8  # m
+DEVIATIONS = (1e-5, 1e6)  # m or degrees, least and greatest that can be meant
+LONGEST_NAME = 60  # letters of what is quoted
 TURNS = {"azimuth": 360.0, "elevation": 90.0}  # degrees within which an angle lies
 
 
@@ -95,6 +99,7 @@ def read_plots(path: str | PathLike[str], sensor: Sensor) -> Plots:
     si = np.array([np.radians(1.0) if channel.angle else 1.0 for channel in channels])
     deviation = np.full((len(time), len(channels)), np.nan)
     deviation[:, [spread.index(name) for name in told]] = numbers[:, len(measured) :]
+    deviation[np.isnan(numbers[:, : len(measured)])] = np.nan  # of nothing
     plots = Plots(str(path), time, numbers[:, : len(channels)] * si, deviation * si, repeated)
     check_units(plots.path, sensor, plots.time, plots.value)
     return plots
@@ -116,12 +121,17 @@ def _columns(header: Sequence[str], measured: Sequence[str], spread: Sequence[st
             close = get_close_matches(name.lower(), known, n=1, cutoff=0.3)
             meant += close
             hint = f"; rename it {close[0]!r} and give it in that unit, if it is that" * bool(close)
-            yield f"column {name!r} is unknown{hint}, or give it a name of another kind."
+            yield f"column {_short(name)} is unknown{hint}, or give it a name of another kind."
+            break
     missing = [name for name in needed if name not in header and name not in meant]
     if missing:
-        yield f"column {', '.join(map(repr, missing))} missing; found {', '.join(header)}."
-    for name in {name for name in header if header.count(name) > 1}:
+        yield f"column {', '.join(map(repr, missing))} missing; found {_short(', '.join(header))}."
+    for name in (name for name in known if header.count(name) > 1):
         yield f"there are two columns {name!r}; keep one."
+
+
+def _short(text: str) -> str:
+    return repr(text if len(text) <= LONGEST_NAME else f"{text[:LONGEST_NAME]}...")
 
 
 def _values(time: Array, numbers: Array, names: Sequence[str], channels: int) -> Iterator:
@@ -138,22 +148,23 @@ def _values(time: Array, numbers: Array, names: Sequence[str], channels: int) ->
         if stem == "range" and (values <= 0.0).any():
             row = int(np.argmax(values <= 0.0))
             yield f"column {name!r} in data row {row + 1} is {values[row]:g}; ranges are positive."
-        most = TURNS.get(stem, np.inf)
-        if (np.abs(values) > most).any():
-            row = int(np.argmax(np.abs(values) > most))
+        most, unit = TURNS.get(stem, FARTHEST), "degrees" if stem in TURNS else "metres"
+        beyond = np.isfinite(values) & (np.abs(values) > most)
+        if beyond.any():
+            row = int(np.argmax(beyond))
             yield (
-                f"column {name!r} in data row {row + 1} is {values[row]:g}; degrees within "
+                f"column {name!r} in data row {row + 1} is {values[row]:g}; {unit} within "
                 f"{most:g} of zero are meant."
             )
     for name, values in zip(names[channels:], numbers.T[channels:], strict=True):
         of = numbers[:, list(names).index(name.replace("_std", ""))]
-        wrong = ~np.isnan(of) & ~(values > 0.0)
+        wrong = ~np.isnan(of) & ~((values >= DEVIATIONS[0]) & (values <= DEVIATIONS[1]))
         if wrong.any():
             row = int(np.argmax(wrong))
             yield (
                 f"column {name!r} in data row {row + 1} is {values[row]:g}; it holds standard "
-                "deviations, positive wherever there is a measurement: fill it, or leave out the "
-                "column."
+                f"deviations, from {DEVIATIONS[0]:g} to {DEVIATIONS[1]:g} wherever there is a "
+                "measurement: fill it, or leave out the column."
             )
 
 
@@ -181,7 +192,7 @@ def _ordered(path: str, time: Array, numbers: Array) -> tuple[Array, Array, int]
         )
     order = np.argsort(time, kind="stable")
     time, numbers = time[order], numbers[order]
-    again = np.diff(time) == 0.0
+    again = np.diff(time) < SOONEST
     same = ((numbers[1:] == numbers[:-1]) | np.isnan(numbers[1:]) & np.isnan(numbers[:-1])).all(1)
     if (again & ~same).any():
         at = int(np.argmax(again & ~same))
