@@ -28,7 +28,7 @@ from .rollout import draw_episodes, rollout
 from .scores import Scores
 from .summary import NOMINAL
 from .tuning import Search, parameters_of
-from .yardsticks import costs
+from .yardsticks import ERROR, costs
 
 
 class Trial(NamedTuple):
@@ -165,7 +165,8 @@ def play(
 def _begun(contest: Contest, agent: Contestant, known: Sequence[float]) -> Search:
     """The search for an agent's parameters, which has been told the costs that are known."""
     parameters = parameters_of(agent, *contest.tuning_place) if contest.tuning_trials else ()
-    search = Search(parameters, contest.tuning_trials, contest.seed)
+    near = contest.tune_on != ERROR
+    search = Search(parameters, contest.tuning_trials, contest.seed, near)
     while len(known) - len(search.costs) >= len(search.asked) > 0:
         begin = len(search.costs)
         for number in range(len(search.asked)):

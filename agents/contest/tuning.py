@@ -16,6 +16,8 @@ from .yardsticks import ERROR, Array, costs
 
 Steps = Generator[list[Array], list[float], None]
 
+WIDE, NEAR = 0.15, 0.02  # first steps of the evolution, over the parameters' logarithmic ranges
+
 
 def tune(
     agent: Contestant,
@@ -31,7 +33,8 @@ def tune(
     """The agent with the parameters of least mean cost over the tuning episodes.
 
     On the logarithms of the parameters: a third of the trials are spread over their
-    ranges, the rest are CMA-ES from the best of these and the defaults; where there is
+    ranges, the rest are CMA-ES from the best of these and the defaults, in small steps if that
+    is the defaults (but for the error, whose search frozen suites know); where there is
     only one parameter, Brent's bounded search. Both may stop early. The mean log weighs
     all episodes alike, however large their errors. An error hardly tells how large covariances
     are, only their ratios: the NIS of an agent tuned on it may be far from 1. A likelihood does.
@@ -43,7 +46,7 @@ def tune(
         on: see `kfenv.agents.contest.yardsticks.costs`; the error by default.
         tried: called with the values of each trial and the episodes' costs.
     """
-    search = Search(parameters_of(agent, env_id, env_kwargs), trials, seed)
+    search = Search(parameters_of(agent, env_id, env_kwargs), trials, seed, on != ERROR)
     while search.asked:
         for number, values in enumerate(search.asked):
             candidate = agent.with_values(values)
@@ -71,6 +74,7 @@ class Search:
         parameters: to be chosen.
         trials: how many settings may be tried for each.
         seed: equal ones ask for the same, if they are told the same.
+        near: whether to look near the defaults if nothing far away is better.
 
     Attributes:
         asked: settings whose costs are asked for; none when the search is over.
@@ -78,8 +82,10 @@ class Search:
         costs: of all settings that were asked for before, in their order.
     """
 
-    def __init__(self, parameters: tuple[Parameter, ...], trials: int, seed: int) -> None:
-        self._parameters = parameters
+    def __init__(
+        self, parameters: tuple[Parameter, ...], trials: int, seed: int, near: bool = False
+    ) -> None:
+        self._parameters, self._near = parameters, near
         self._low = np.log([p.low for p in parameters])
         self._span = np.log([p.high for p in parameters]) - self._low
         self.best: dict[str, float] = {}
@@ -121,7 +127,9 @@ class Search:
         if len(start) == 1:
             yield from _brent(trials - 1)
         else:
-            yield from _evolve(self._least[1], trials - 1 - spread, seed)
+            near = self._near and np.array_equal(self._least[1], start)
+            width = NEAR if near else WIDE
+            yield from _evolve(self._least[1], trials - 1 - spread, seed, width)
 
     def _values(self, x: Array) -> dict[str, float]:
         logarithms = self._low + self._span * x
@@ -151,8 +159,12 @@ def _brent(trials: int) -> Steps:
             return
 
 
-def _evolve(start: Array, trials: int, seed: int) -> Steps:
-    """Minimise over the unit box with the given number of evaluations, a generation at a time."""
+def _evolve(start: Array, trials: int, seed: int, width: float) -> Steps:
+    """Minimise over the unit box with the given number of evaluations, a generation at a time.
+
+    Args:
+        width: deviation of the first generation.
+    """
     if trials < 1:
         return
     import cma
@@ -161,7 +173,7 @@ def _evolve(start: Array, trials: int, seed: int) -> Steps:
     randn = np.random.RandomState(seed + 1).randn
     inside = np.clip(start, 0.02, 0.98)
     options = {"bounds": [0.0, 1.0], "randn": randn, "verbose": -9, "maxfevals": trials}
-    search = cma.CMAEvolutionStrategy(inside, 0.15, options)
+    search = cma.CMAEvolutionStrategy(inside, width, options)
     while trials > 0 and not search.stop():
         candidates = search.ask()[:trials] if trials < search.popsize else search.ask()
         costs = yield candidates
