@@ -83,11 +83,11 @@ def _episode(deployable: Deployable) -> Recording:
     whole = scenario.sample([rng])
     channels = whole.measurement.shape[2]
     width = channels**2 + 2 * channels + deployable.policy.observation_size
-    steps = min(MOST_STEPS, MOST_NUMBERS // width, len(whole.time))
+    steps = min(MOST_STEPS, MOST_NUMBERS // width, whole.time.shape[-1])
     measurement = whole.measurement[:, :steps].copy()
     measurement[rng.random(measurement.shape) < WITHHELD] = np.nan
     return Recording(
-        whole.time[:steps], measurement, whole.noise[:, :steps], whole.mean, whole.factor,
+        whole.times[0, :steps], measurement, whole.noise[:, :steps], whole.mean, whole.factor,
         whole.motion_inputs[:, :steps], whole.sensor_inputs[:, :steps],
     )  # fmt: skip
 
