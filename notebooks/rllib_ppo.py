@@ -12,7 +12,8 @@ LAYERS = ("encoder.actor_encoder.net.mlp.0", "encoder.actor_encoder.net.mlp.2", 
 
 config = PPOConfig().environment(f"kfenv:{NAME}", env_config=KEYWORDS | {"info": "none"})
 config.env_runners(num_env_runners=1, num_envs_per_env_runner=256, rollout_fragment_length=128,
-                   gym_env_vectorize_mode=gym.VectorizeMode.VECTOR_ENTRY_POINT)  # fmt: skip
+                   gym_env_vectorize_mode=gym.VectorizeMode.VECTOR_ENTRY_POINT,
+                   sample_timeout_s=600.0)  # fmt: skip
 config.training(train_batch_size=32768, minibatch_size=8192, num_epochs=4, lr=2e-3, gamma=0.95)
 config.rl_module(model_config={"fcnet_hiddens": [64, 64], "fcnet_activation": "tanh"})
 config.callbacks(on_environment_created=WorkerStreams(seed=0)).debugging(seed=None)
