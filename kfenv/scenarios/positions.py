@@ -88,8 +88,8 @@ def _read_pos(path: str | PathLike[str]) -> Positions:
         deviation = values[:, [columns.index(name) for name in DEVIATIONS]]
     quality = None
     if "Q" in columns:
-        quality = np.nan_to_num(values[:, columns.index("Q")], posinf=0.0, neginf=0.0)
-        quality = quality.astype(np.int64)
+        told = values[:, columns.index("Q")]
+        quality = np.where(np.abs(told) < 100.0, told, 0.0).astype(np.int64)
     position = _earth_fixed(*values[:, 1:4].T) if llh else values[:, 1:4]
     return Positions(str(path), values[:, 0], position, deviation, quality)
 
