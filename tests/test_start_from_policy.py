@@ -130,7 +130,7 @@ def test_a_policy_of_another_environment_is_refused(go, tmp_path):
     start = trained_on(tmp_path / "taught.npz", BISTATIC, "mlp-log-factors", **SHORT)
     with pytest.raises(ValueError, match="its observation had"):
         go("ppo", init=start, env_kwargs={"actions": ["fading"]})
-    with pytest.raises(ValueError, match="kind 'mlp' does not set log factors"):
+    with pytest.raises(ValueError, match="kind 'mlp' is not the one to start from here"):
         go("ppo", "again", init=go("ppo"))
     for algorithm in ("recurrent-ppo", "ppo"):
         with pytest.raises(ValueError, match="for environments of kfenv"):

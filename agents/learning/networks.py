@@ -100,7 +100,9 @@ class RecurrentNetwork(torch.nn.Module):
             ValueError: if it is none of this kind.
         """
         if not isinstance(policy.network, FactorNetwork):
-            raise ValueError(f"a network of kind {policy.network.kind!r} is none of this one's")
+            raise ValueError(
+                f"a network of kind {policy.network.kind!r} is not the one to start from here"
+            )
         return cls.from_network(policy.network)
 
     @classmethod
