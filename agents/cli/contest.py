@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..executor import Workers
+from ..work.executor import Workers
 from .console import complaints, console, progress
 from .options import (
     Against,

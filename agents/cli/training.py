@@ -11,9 +11,9 @@ from typing import Annotated, Any
 
 import typer
 
-from ..carried import carried
-from ..executor import Workers
 from ..files import write_json
+from ..work.carried import carried
+from ..work.executor import Workers
 from .console import complaints, console, progress
 from .options import (
     Environment,

@@ -17,10 +17,10 @@ import numpy as np
 
 from kfenv.scenarios.recording import Recording
 
-from ..carried import carried
 from ..contestants.agent import Contestant
 from ..contestants.registry import make_agent
-from ..executor import Workers, run_jobs
+from ..work.carried import carried
+from ..work.executor import Workers, run_jobs
 from .contest import Contest
 from .cost import relative_cost
 from .ledger import Ledger, Values

@@ -18,11 +18,11 @@ import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from ..carried import carried
 from ..contestants.agent import Agent
 from ..contestants.registry import make_agent
-from ..executor import Workers, run_jobs
 from ..files import is_free
+from ..work.carried import carried
+from ..work.executor import Workers, run_jobs
 from .rollout import make_core, play, scenario_and_options
 from .scores import read_values
 

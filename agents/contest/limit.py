@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..carried import carried
 from ..contestants.particles.bound import ParticleBound
-from ..executor import Workers, run_jobs
 from ..files import clear_partial, is_free, read_arrays, read_json, write_json, written_whole
+from ..work.carried import carried
+from ..work.executor import Workers, run_jobs
 from .rollout import draw_episodes, rollout, scenario_and_options
 
 Array = NDArray[np.float64]

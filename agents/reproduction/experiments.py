@@ -11,9 +11,9 @@ from rich.progress import Progress
 
 from kfenv.names import unknown
 
-from ..carried import carried
-from ..executor import Workers
 from ..files import is_free, locked
+from ..work.carried import carried
+from ..work.executor import Workers
 from . import (
     bistatic,
     gnss_tracking,

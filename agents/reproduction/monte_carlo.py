@@ -24,8 +24,8 @@ from kfenv.models.model import Sensor
 from kfenv.models.namespaces import batch
 from kfenv.scenarios.recording import Recording
 
-from ..executor import Workers, run_jobs
 from ..files import clear_partial, read_arrays, written_whole
+from ..work.executor import Workers, run_jobs
 
 Array = NDArray[np.float64]
 

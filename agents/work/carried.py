@@ -8,7 +8,7 @@ from typing import Any
 
 from kfenv.kernel_cache import local_folder
 
-from .files import written_whole
+from ..files import written_whole
 
 
 class CarriedFile(str):
