@@ -304,7 +304,7 @@ def _empty_update(batch: int, n: int, m: int) -> Update:
 def _merge(old, new, active: Mask):
     """The new results where active, the old ones elsewhere."""
     if active.all():
-        return new
+        return type(new)(*map(np.ascontiguousarray, new))  # others would be compiled for anew
     for before, after in zip(old, new, strict=True):
         before[active] = after[active]
     return old

@@ -90,9 +90,9 @@ class Engine:
     ) -> Prediction:
         """See `Filter.predict`."""
         result = Prediction(np.empty(mean.shape), *np.empty((2, *factor.shape)))
-        mean, factor, inputs = _writeable(mean, factor, inputs)
+        mean, factor, inputs, dt = _plain(mean, factor, inputs, dt[:, None])
         self._kernel.predict(
-            mean, _rows(factor), inputs, dt[:, None], self._scratch,
+            mean, _rows(factor), inputs, dt, self._scratch,
             result.mean, _rows(result.root), _rows(result.noise), status,
         )  # fmt: skip
         return result
@@ -117,9 +117,10 @@ class Engine:
             *np.empty((3, *shape)),
             *np.empty((2, shape[0])),
         )
+        mean, root, noise = _plain(*prediction)
         self._kernel.update(
-            prediction.mean, _rows(prediction.root), _rows(prediction.noise),
-            _roots(knobs), *_writeable(*measurement), self._scratch, correct,
+            mean, _rows(root), _rows(noise),
+            _roots(knobs), *_plain(*measurement), self._scratch, correct,
             result.mean, _rows(result.factor), *result[2:], status,
         )  # fmt: skip
         return result
@@ -131,7 +132,7 @@ class Engine:
             np.full((batch, steps, self._n), np.nan), np.full((batch, steps), np.nan),
             np.zeros(batch, np.int64), np.full(batch, -1),
         )  # fmt: skip
-        mean, factor, *series = _writeable(
+        mean, factor, *series = _plain(
             episodes.mean, episodes.factor, episodes.motion_inputs, episodes.sensor_inputs,
             episodes.measurement, episodes.noise,
         )  # fmt: skip
@@ -161,9 +162,12 @@ def _roots(knobs: Knobs) -> Array:
     return scales
 
 
-def _writeable(*arrays: Array) -> list[Array]:
-    """The arrays, or copies of those that are read-only: Numba would compile for these anew."""
-    return [array if array.flags.writeable else array.copy() for array in arrays]
+def _plain(*arrays: Array) -> list[Array]:
+    """The arrays, or copies of those that are read-only or in another order than C's.
+
+    Numba would compile for each of these anew, which takes ten seconds.
+    """
+    return [array if array.flags.carray else array.copy() for array in arrays]
 
 
 def _rows(matrices: Array) -> Array:
