@@ -15,8 +15,10 @@ from kfenv.models.namespaces import batch as namespace
 from kfenv.models.navigation_fix import navigation_fix
 from kfenv.models.position import position
 from kfenv.models.radar import radar
-from kfenv.models.strapdown import mechanise, strapdown
+from kfenv.models.strapdown import mechanise
 from kfenv.models.variable_turn import variable_turn
+from kfenv.scenarios.inertial.ins_gnss import PAPER_NOISE
+from kfenv.scenarios.inertial.motion import motion_of
 
 Array = NDArray[np.float64]
 
@@ -249,10 +251,11 @@ def drawn_case(
     return truth, Case(means, factors, time, nothing, nothing, z, told, Knobs.nominal(batch))
 
 
+# Where an environment has the like, its own models: their kernels are then compiled but once.
 PAIRS = {
     "variable turn, radar": (variable_turn(), radar(), radar_case),
     "constant acceleration, radar": (constant_acceleration(), radar(), radar_case),
     "constant acceleration, position": (constant_acceleration(0.2), position(), position_case),
     "robot, beacon": (robot(), beacon(), robot_case),
-    "strapdown, navigation fix": (strapdown((5.0, 3.0, 0.005)), navigation_fix(), strapdown_case),
+    "strapdown, navigation fix": (motion_of(PAPER_NOISE), navigation_fix(), strapdown_case),
 }

@@ -372,8 +372,8 @@ def test_the_plain_ones_are_filters_of_the_family():
 
 @pytest.mark.parametrize("name", ["ckf", "ackf", "gsckf", "gsackf"])
 def test_over_the_engine_as_over_the_reference(name):
-    motion, sensor, make = PAIRS["robot, beacon"]
-    case = make(batch=11, steps=150)
+    motion, sensor, make = PAIRS["strapdown, navigation fix"]
+    case = make(batch=11, steps=60)
     design = replace(ADAPTIVE_DESIGNS[name], base=DESIGNS["srukf-joseph-exact"])
     fast = Engine(motion, sensor)
     tier = GaussianSum(fast, design.mixture) if design.mixture else fast

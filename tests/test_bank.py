@@ -14,6 +14,7 @@ from kfenv.filters.bank import Bank, Mode, markov
 from kfenv.filters.engine import Engine
 from kfenv.filters.gaussian_sum import Mixture
 from kfenv.filters.mixing import _triangularise, mix
+from kfenv.filters.reference import ReferenceFilter
 from kfenv.models.constant_acceleration import constant_acceleration
 from kfenv.scenarios.radar.tracking import RadarTracking
 
@@ -133,10 +134,10 @@ def test_a_linear_bank_equals_filterpys():
         one.R = (mode.noise * 20.0) ** 2 * np.eye(3)
         filters.append(one)
     imm = filterpy.IMMEstimator(filters, np.array([0.5, 0.5]), M)
-    engine = Engine(constant_acceleration(2.0), position_sensor())
+    reference = ReferenceFilter(constant_acceleration(2.0), position_sensor())
     arrived = ~np.isnan(case.measurement[0, :, 0])
     told = case._replace(noise=np.full_like(case.noise, 20.0))
-    bank = Bank(engine, modes, M).history(told)
+    bank = Bank(reference, modes, M).history(told)
     for t in range(40):  # from there on measurements are missing, which FilterPy does not know
         assert arrived[t]
         if t:
@@ -206,9 +207,9 @@ def test_a_bank_that_fails_leaves_the_others_alone(engine, recording):
 
 
 def test_a_misreported_noise_is_learnt():
-    case, engine = linear_case(300), Engine(constant_acceleration(2.0), position_sensor())
+    case, tier = linear_case(300), ReferenceFilter(constant_acceleration(2.0), position_sensor())
     told = case._replace(noise=20.0 / factors((3,))[0] * np.ones_like(case.noise))
-    bank = MisreportBank(engine, [Mode(), Mode(noise=5.0)], markov(np.full((2, 2), 0.1)), None,
+    bank = MisreportBank(tier, [Mode(), Mode(noise=5.0)], markov(np.full((2, 2), 0.1)), None,
                          (-6, -3, 0, 3, 6), 1e-4)  # fmt: skip
     bank.history(told)
     assert np.all(np.argmax(bank._belief[0], axis=1) == 3)

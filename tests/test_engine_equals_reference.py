@@ -102,7 +102,7 @@ def test_run_is_the_steps_one_by_one():
 
 @pytest.mark.parametrize("tier", [Engine, ReferenceFilter])
 def test_a_filter_has_the_same_bits_alone_and_in_a_batch(tier):
-    case = radar_case(batch=5)
+    case = radar_case(batch=5, steps=80)
     together = tier(variable_turn(), radar()).run(case, case.knobs)
     for b in range(5):
         one = case.only([b])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pairs import Case
+from pairs import PAIRS, Case
 from scipy.spatial.transform import Rotation
 
 from kfenv.filters.engine import Engine
@@ -213,7 +213,7 @@ def test_bad_process_noise_is_named(bad):
 
 def test_the_filter_wraps_attitude():
     """Yaw believed at 179 deg and measured at -179: two degrees, not 358."""
-    tier = Engine(strapdown(PROCESS), navigation_fix())
+    tier = Engine(*PAIRS["strapdown, navigation fix"][:2])
     mean = np.zeros((1, 9))
     mean[0, [6, 8]] = np.radians(179.0), np.radians(-179.0)
     factor = np.diag([1.0] * 6 + [0.1] * 3)[None]

@@ -24,6 +24,7 @@ from kfenv.filters.engine import Engine
 from kfenv.filters.fingerprint import fingerprint
 from kfenv.filters.pointwise import PointwiseFilter
 from kfenv.filters.reference import ReferenceFilter
+from kfenv.filters.replay import replay
 from kfenv.filters.results import BAD_PREDICTION, OK
 from kfenv.models.model import Component, Sensor
 from kfenv.models.namespaces import batch, compiled, dual, lanes, scalar
@@ -75,7 +76,8 @@ def test_numpy_and_namespace_are_the_same_filter():
     recording = simulate(motion, sensor, episodes=3, **SWING)
     same = simulate(pendulum.MODEL["motion"], pendulum.MODEL["sensor"], episodes=3, **SWING)
     np.testing.assert_allclose(recording.truth, same.truth, atol=1e-12)
-    engine = Engine(pendulum.MODEL["motion"], pendulum.MODEL["sensor"]).run(recording)
+    engine = Engine(pendulum.MODEL["motion"], pendulum.MODEL["sensor"])
+    engine = replay(engine, None, recording)
     for filter in (PointwiseFilter(motion, sensor), ReferenceFilter(motion, sensor)):
         run = filter.run(recording)
         np.testing.assert_allclose(run.mean, engine.mean, atol=1e-9)
