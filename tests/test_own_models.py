@@ -461,6 +461,7 @@ def an_input_too_many(xp):
     (other_states, r"f .*other components than it is given, which are 2 states and 0 inputs"),
     (an_input_too_many, r"f .*other components than it is given, which are 2 states and 0 inputs"),
     (lambda x, u, dt: x[:1], r"f gives an array of shape \(1,\).*there are 2 states"),
+    (lambda x, u, dt: np.array([x[0], x[2]]), r"f fails for a state of shape \(2,\).*IndexError"),
     (lambda x, u: x, r"f\(xp\) or f\(x, u, dt\)"),
     (3, r"f\(xp\) or f\(x, u, dt\), got 3"),
 ])  # fmt: skip

@@ -253,7 +253,7 @@ def test_what_does_not_go_with_a_log_is_refused(files, keywords, said):
 
 def test_paths_and_gaps_are_checked(tmp_path):
     assert "plots must be the path" in complaint(ValueError, RadarTracking, plots=3)
-    with pytest.raises(FileNotFoundError, match="there is no plots file"):
+    with pytest.raises(FileNotFoundError, match=r"there is no plots file \S+none\.csv"):
         RadarTracking(plots=str(tmp_path / "none.csv"))
     time = np.append(0.5 * np.arange(50.0), 100.0 + 0.5 * np.arange(50.0))
     said = complaint(ValueError, instants_of, time, "x.csv")

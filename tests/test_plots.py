@@ -105,6 +105,9 @@ REFUSED = {
     "milliseconds": (HEADER, rows(1000.0 * TIME), "advances by 500 from plot to plot"),
     "kilometres": (HEADER, rows(value=VALUE * UNIT * [1e-3, 1, 1]), "multiply them by 1000"),
     "radians": (HEADER, RADIANS, "multiply them by 180/pi"),
+    "semicolons": (HEADER.replace(",", ";"), rows(), "columns are separated by ';'"),
+    "cut off": (HEADER, [*rows()[:99], "49.5,12"], "line 101 has 2 cells and the first line 4"),
+    "decimal commas": (HEADER, [x.replace(".", ",") for x in rows()], "points in decimals"),
     "too often": (HEADER, rows(0.01 * TIME), "thin them out"),
 }  # fmt: skip
 

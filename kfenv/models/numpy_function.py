@@ -87,7 +87,14 @@ class NumpyFunction:
         return np.broadcast_to(values, (self.size, x.shape[1]))
 
     def _called(self, x: Array, u: Array, dt: Array | float | None) -> Array:
-        values = np.asarray(self.call(x, u, dt) if self.timed else self.call(x, u), np.float64)
+        rest = (u, dt) if self.timed else (u,)
+        try:
+            values = np.asarray(self.call(x, *rest), np.float64)
+        except Exception as error:  # whatever the user's function does
+            raise ValueError(
+                f"{self.name} fails for a state of shape {x.shape} and inputs of shape {u.shape} "
+                f"({type(error).__name__}: {error}): correct it."
+            ) from error
         if values.ndim == 0 and self.size == 1:
             values = values[None]
         if values.ndim != x.ndim or len(values) != self.size:

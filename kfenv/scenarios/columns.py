@@ -58,7 +58,7 @@ def _rows(path: str | PathLike[str], what: str) -> Iterator:
     """The rows of a file; complaints that come up while it is open name it."""
     path = Path(path)
     if not path.is_file():
-        raise FileNotFoundError(f"there is no {what} file {path}.")
+        raise FileNotFoundError(f"there is no {what.removesuffix(' file')} file {path}.")
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             yield csv.reader(file)
@@ -78,17 +78,32 @@ def _read(rows, what: str, columns: Sequence[str], gaps: bool) -> list[Array]:
         if column not in header:
             raise ValueError(_missing(what, columns, column, header))
     places = [header.index(column) for column in columns]
-    values = [
-        [_number(row, place, header[place], rows.line_num, gaps) for place in places]
-        for row in rows
-        if row
-    ]
+    values = []
+    for row in filter(None, rows):
+        _check_cells(row, header, rows.line_num, gaps)
+        values.append([_number(row, i, header[i], rows.line_num, gaps) for i in places])
     return list(np.array(values, dtype=float).reshape(-1, len(columns)).T)
+
+
+def _check_cells(row: list[str], header: list[str], line: int, gaps: bool) -> None:
+    """Complain of a row that was cut off where cells may be empty, or whose cells are too many.
+
+    Raises:
+        ValueError: of decimal commas too, which make cells of their own.
+    """
+    if (gaps and len(row) < len(header)) or any(cell.strip() for cell in row[len(header) :]):
+        raise ValueError(
+            f"line {line} has {len(row)} cells and the first line {len(header)} names: give one "
+            "cell each, empty where nothing was measured, with points in decimals."
+        )
 
 
 def _missing(what: str, columns: Sequence[str], column: str, header: list[str]) -> str:
     if header and all(map(_is_numeric, header)):
         return f"the first line holds numbers, no names: put {','.join(columns)} above it."
+    mark = next((mark for mark in ";\t|" if mark in "".join(header[:1])), None)
+    if mark:
+        return f"columns are separated by {mark!r}: write commas, and points in decimals."
     close = get_close_matches(column, header, n=1, cutoff=0.4)
     hint = f"; rename {excerpt(close[0])!r} if that is it" if close else ""
     found = excerpt(", ".join(header)) if header else "nothing"
