@@ -30,5 +30,5 @@ def compile_kernels(env_id: str) -> None:
 
 
 def pytest_collection_modifyitems(items):
-    """The longest file first, so that no worker is left alone with it at the end."""
-    items.sort(key=lambda item: item.path.name != "test_notebooks.py")
+    """The longest files first, so that no worker is left alone with one at the end."""
+    items.sort(key=lambda item: item.path.name not in ("test_notebooks.py", "test_tuned_filter.py"))
