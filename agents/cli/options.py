@@ -107,7 +107,9 @@ def workers(executor: str, processes: int) -> Workers:
     if executor == "processes":
         return processes
     if executor not in ("ray", "auto") and ":" not in executor:
-        raise ValueError(unknown("executor", executor, ("processes", "ray", "ray://HOST:PORT")))
+        raise ValueError(
+            unknown("executor", executor, ("processes", "ray", "auto", "ray://HOST:PORT"))
+        )
     return RayCluster(None if executor == "ray" else executor, processes)
 
 
