@@ -166,6 +166,17 @@ def test_a_log_is_drawn(paths):
     assert (env.render() != first).any()
 
 
+def test_a_fix_that_cannot_be_weighed_is_named_with_its_file(paths, monkeypatch):
+    def singular(*_):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    scenario = InsGnss(log=paths, duration=10.0, bias_time=(500.0, 500.0))
+    monkeypatch.setattr(np.linalg, "solve", singular)
+    with pytest.raises(ValueError, match=r"fix at t = .* cannot be weighed") as caught:
+        scenario.sample([np.random.default_rng(0)])
+    assert str(paths[1]) in str(caught.value) and str(paths[0]) in str(caught.value)
+
+
 def test_faults_that_raise_the_noise_add_what_is_missing(paths):
     faults = {"glint": {"probability": 1.0, "fraction": 1.0, "factor": 10.0}}
     loud = InsGnss(log=paths[:2], faults=faults, **GOOD_UNIT)

@@ -88,7 +88,14 @@ class Lessons:
         late = log.time[log.row[place]] - log.fixes.time[fix]
         off = moved + late * np.concatenate([moved[3:], np.zeros(3)]) - mean[:6]
         R = np.diag(log.fixes.deviation[fix] ** 2)
-        gain = np.linalg.solve(covariance[:6, :6] + R, covariance[:6]).T
+        try:
+            gain = np.linalg.solve(covariance[:6, :6] + R, covariance[:6]).T
+        except np.linalg.LinAlgError:
+            raise ValueError(
+                f"{log.fixes.path}: the fix at t = {log.fixes.time[fix]:.10g} s cannot be weighed "
+                f"against what {log.imu.path} measured until then: check the numbers and units of "
+                "both, and the fixes' deviations."
+            ) from None
         keep = np.eye(self._size) - gain @ np.eye(6, self._size)
         mean = mean + gain @ off
         mean[:3] -= moved[:3]
