@@ -13,7 +13,7 @@ from kfenv.agents.contest.rollout import draw_episodes, rollout
 from kfenv.agents.contest.scores import STORED
 from kfenv.agents.contestants.pretrained import FOLDER as PRETRAINED
 from kfenv.agents.contestants.registry import AGENTS, FILTERS, make_agent
-from kfenv.agents.work.carried import carried
+from kfenv.agents.jobs.carried import carried
 
 RADAR, GNSS = ("kfenv/RadarTracking-v0", {"rate": 2.0, "duration": 12.0}), (
     "kfenv/GnssTracking-v0", {"duration": 2.0})  # fmt: skip

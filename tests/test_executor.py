@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from kfenv.agents.work.executor import run_jobs
+from kfenv.agents.jobs.executor import run_jobs
 
 DEADLINE = 60.0  # seconds, on a busy machine
 
@@ -101,7 +101,7 @@ def test_an_error_ends_the_other_jobs():
 def test_workers_end_with_their_parent(number, tmp_path):
     work = (
         "from functools import partial; from pathlib import Path; "
-        "from kfenv.agents.work.executor import run_jobs; from test_executor import say_and_sleep; "
+        "from kfenv.agents.jobs.executor import run_jobs; from test_executor import say_and_sleep; "
         f"list(run_jobs(partial(say_and_sleep, Path({str(tmp_path)!r})), range(2), 2))"
     )
     tests = {"PYTHONPATH": str(Path(__file__).parent)}

@@ -13,7 +13,7 @@ LONGEST = 400  # lines of a module
 SHARED = {"kfenv", "kfenv.models"}
 SCENARIOS = {f"kfenv.scenarios.{room}" for room in ("radar", "gnss", "inertial")}
 LIBRARY = SHARED | SCENARIOS | {"kfenv.filters", "kfenv.scenarios", "kfenv.envs"}
-AGENTS = LIBRARY | {"kfenv.agents", "kfenv.agents.work"}
+AGENTS = LIBRARY | {"kfenv.agents", "kfenv.agents.jobs"}
 
 # A layer or room, and which others it may import. What stands in a folder without a line of
 # its own here belongs to the folder above.
@@ -25,7 +25,7 @@ MAY_IMPORT = {
     **dict.fromkeys(SCENARIOS, SHARED | {"kfenv.scenarios"}),
     "kfenv.envs": LIBRARY,
     "kfenv.agents": LIBRARY,
-    "kfenv.agents.work": LIBRARY | {"kfenv.agents"},
+    "kfenv.agents.jobs": LIBRARY | {"kfenv.agents"},
     "kfenv.agents.contestants": AGENTS,
     "kfenv.agents.contest": AGENTS | {"kfenv.agents.contestants"},
     "kfenv.agents.learning": AGENTS | {"kfenv.agents.contestants", "kfenv.agents.contest"},

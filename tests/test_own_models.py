@@ -15,7 +15,7 @@ from kfenv.agents.contest.contest import Contest
 from kfenv.agents.contest.evaluation import evaluate
 from kfenv.agents.contest.rollout import rollout, scenario_and_options
 from kfenv.agents.contestants.registry import make_agent
-from kfenv.agents.work.task import Task, run_packed
+from kfenv.agents.jobs.task import Task, run_packed
 from numba import njit
 from rollouts import OWN, assert_same, play, random_actions, zeros
 

@@ -16,8 +16,8 @@ from kfenv.agents.contest import ledger
 from kfenv.agents.contest.blocks import Work
 from kfenv.agents.contest.contest import Contest
 from kfenv.agents.contest.evaluation import evaluate
-from kfenv.agents.work.executor import run_jobs
-from kfenv.agents.work.ray_cluster import RayCluster
+from kfenv.agents.jobs.executor import run_jobs
+from kfenv.agents.jobs.ray_cluster import RayCluster
 from test_blocks import bare
 from test_executor import die_at_three, refuse_three, square
 

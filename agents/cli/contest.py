@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..work.executor import Workers
+from ..jobs.executor import Workers
 from .console import complaints, console, progress
 from .options import (
     Against,

@@ -10,8 +10,8 @@ import typer
 
 from kfenv.names import unknown
 
-from ..work.executor import Workers
-from ..work.ray_cluster import RayCluster
+from ..jobs.executor import Workers
+from ..jobs.ray_cluster import RayCluster
 
 Environment = Annotated[str, typer.Argument(metavar="ENV", help="An id that `kfenv envs` lists.")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed gives the same result.")]

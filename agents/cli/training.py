@@ -12,8 +12,8 @@ from typing import Annotated, Any
 import typer
 
 from ..files import write_json
-from ..work.carried import carried
-from ..work.executor import Workers
+from ..jobs.carried import carried
+from ..jobs.executor import Workers
 from .console import complaints, console, progress
 from .options import (
     Environment,

@@ -19,8 +19,8 @@ from kfenv.scenarios.recording import Recording
 
 from ..contestants.agent import Contestant
 from ..contestants.registry import make_agent
-from ..work.carried import carried
-from ..work.executor import Workers, run_jobs
+from ..jobs.carried import carried
+from ..jobs.executor import Workers, run_jobs
 from .contest import Contest
 from .cost import relative_cost
 from .ledger import Ledger, Values

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from ..contestants.agent import Agent
 from ..contestants.registry import make_agent
 from ..files import is_free
-from ..work.carried import carried
-from ..work.executor import Workers, run_jobs
+from ..jobs.carried import carried
+from ..jobs.executor import Workers, run_jobs
 from .rollout import make_core, play, scenario_and_options
 from .scores import read_values
 

@@ -11,8 +11,8 @@ from typing import Any
 from ..contestants.learned import Learned
 from ..contestants.registry import make_agent
 from ..files import blamed_on, is_free, locked, read_json, write_json
+from ..jobs.executor import Workers
 from ..plain import plain
-from ..work.executor import Workers
 from .blocks import play
 from .contest import Contest
 from .rollout import check_scored, draw_episodes, scenario_and_options

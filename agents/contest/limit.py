@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from ..contestants.particles.bound import ParticleBound
 from ..files import clear_partial, is_free, read_arrays, read_json, write_json, written_whole
-from ..work.carried import carried
-from ..work.executor import Workers, run_jobs
+from ..jobs.carried import carried
+from ..jobs.executor import Workers, run_jobs
 from .rollout import draw_episodes, rollout, scenario_and_options
 
 Array = NDArray[np.float64]

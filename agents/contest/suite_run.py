@@ -15,7 +15,7 @@ from kfenv.names import unknown
 
 from ..contestants.registry import AGENTS, FILTERS, make_agent
 from ..files import blamed_on, is_free, locked, read_json, write_json
-from ..work.executor import Workers
+from ..jobs.executor import Workers
 from .contest import Contest
 from .evaluation import evaluate_all
 from .recording_hash import recording_hash

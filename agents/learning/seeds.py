@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..files import clear_partial, is_free, read_json, write_json, written_whole
-from ..work.executor import Workers, run_jobs
+from ..jobs.executor import Workers, run_jobs
 
 FIGURES = ("rmse_median", "rmse_geometric_mean", "track_loss", "improvement_over_fixed")
 TOLD = "training-seeds.json"

@@ -12,8 +12,8 @@ from rich.progress import Progress
 from kfenv.names import unknown
 
 from ..files import is_free, locked
-from ..work.carried import carried
-from ..work.executor import Workers
+from ..jobs.carried import carried
+from ..jobs.executor import Workers
 from . import (
     bistatic,
     gnss_tracking,

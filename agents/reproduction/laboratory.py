@@ -10,8 +10,8 @@ from typing import Any
 from matplotlib.figure import Figure
 from rich.progress import Progress
 
+from ..jobs.executor import Workers
 from ..plotting import save
-from ..work.executor import Workers
 from .monte_carlo import Method, Outcome, Study, run_study
 
 

@@ -25,7 +25,7 @@ from kfenv.models.namespaces import batch
 from kfenv.scenarios.recording import Recording
 
 from ..files import clear_partial, read_arrays, written_whole
-from ..work.executor import Workers, run_jobs
+from ..jobs.executor import Workers, run_jobs
 
 Array = NDArray[np.float64]
 
