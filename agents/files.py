@@ -145,6 +145,23 @@ def is_free(folder: Path) -> bool:
     return all(path.name == LOCK or _is_partial(path) for path in folder.iterdir())
 
 
+def goes_on(folder: Path, resume: bool) -> bool:
+    """Whether a folder for results holds an earlier run, to be gone on with.
+
+    Raises:
+        FileExistsError: if it is a file, or holds anything and `resume` is not set.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise FileExistsError(f"{folder} is a file: name a folder for the results.")
+    if is_free(folder):
+        return False
+    if not resume:
+        raise FileExistsError(
+            f"The folder {folder} is not empty: name another, or go on with --resume."
+        )
+    return True
+
+
 def clear_partial(folder: Path) -> None:
     """Delete what dead runs of this machine had begun to write in a folder and those below it."""
     for path in folder.rglob(f".*.{PARTIAL}"):

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..contestants.learned import Learned
 from ..contestants.registry import make_agent
-from ..files import blamed_on, is_free, locked, read_json, write_json
+from ..files import blamed_on, goes_on, locked, read_json, write_json
 from ..jobs.executor import Workers
 from ..plain import plain
 from .blocks import play
@@ -181,13 +181,7 @@ def _admit(output: Path, contest: Contest, resume: bool) -> dict[str, Any]:
     told = {item.name: getattr(contest, item.name) for item in fields(contest)}
     content = plain(told) | {"policies": _digests(contest)}
     path = output / "contest.json"
-    if output.exists() and not output.is_dir():
-        raise FileExistsError(f"{output} is a file: name a folder for the results.")
-    if not is_free(output):
-        if not resume:
-            raise FileExistsError(
-                f"The folder {output} is not empty: name another, or go on with --resume."
-            )
+    if goes_on(output, resume):
         remedy = "name another folder for the contest"
         held = read_json(path, dict, remedy) if path.exists() else {}
         with blamed_on(path, remedy):

@@ -14,7 +14,7 @@ import numpy as np
 from kfenv.names import unknown
 
 from ..contestants.registry import AGENTS, FILTERS, make_agent
-from ..files import blamed_on, is_free, locked, read_json, write_json
+from ..files import blamed_on, goes_on, locked, read_json, write_json
 from ..jobs.executor import Workers
 from .contest import Contest
 from .evaluation import evaluate_all
@@ -183,12 +183,8 @@ def _admit(output: Path, told: dict[str, Any], agents: tuple[str, ...], resume: 
     for agent in agents:
         make_agent(agent)  # complains
     path = output / "suite.json"
-    if is_free(output):
+    if not goes_on(output, resume):
         return agents
-    if not resume:
-        raise FileExistsError(
-            f"The folder {output} is not empty: name another, or go on with --resume."
-        )
     held = read_json(path, dict, "name another folder for the suite") if path.exists() else {}
     if any(held.get(key) != value for key, value in told.items()):
         raise ValueError(

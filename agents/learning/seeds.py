@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..files import clear_partial, is_free, read_json, write_json, written_whole
+from ..files import clear_partial, goes_on, read_json, write_json, written_whole
 from ..jobs.executor import Workers, run_jobs
 
 FIGURES = ("rmse_median", "rmse_geometric_mean", "track_loss", "improvement_over_fixed")
@@ -65,11 +65,7 @@ def train_seeds(
 
 def _admit(told: dict[str, Any], output: Path, resume: bool) -> None:
     path = output / TOLD
-    if not is_free(output):
-        if not resume:
-            raise FileExistsError(
-                f"The folder {output} is not empty: name another, or go on with --resume."
-            )
+    if goes_on(output, resume):
         if not path.exists() or read_json(path, dict, "name another folder") != told:
             raise ValueError(f"The folder {output} holds other runs: name another folder.")
     output.mkdir(parents=True, exist_ok=True)

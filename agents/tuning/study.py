@@ -17,7 +17,7 @@ from kfenv.scenarios.recording import Recording
 
 from ..contest.rollout import draw_episodes, scenario_and_options
 from ..contestants.optimised import initial_noise_factor
-from ..files import is_free, locked, read_json, write_json
+from ..files import goes_on, locked, read_json, write_json
 from ..plain import plain
 from .blocks import blocks_of
 from .criteria import STATIC, Criterion
@@ -233,13 +233,7 @@ def _admit(output: Path, study: Study, resume: bool) -> dict[str, Any]:
     own = {item.name: getattr(study, item.name) for item in fields(study)}
     content = json.loads(json.dumps(own | {"env_kwargs": plain(study.env_kwargs)}))
     path = output / "study.json"
-    if output.exists() and not output.is_dir():
-        raise FileExistsError(f"{output} is a file: name a folder for the results.")
-    if not is_free(output):
-        if not resume:
-            raise FileExistsError(
-                f"The folder {output} is not empty: name another, or go on with --resume."
-            )
+    if goes_on(output, resume):
         held = read_json(path, dict, "name another folder") if path.exists() else {}
         grows: Sequence[str] = ("by", "rules")
         if any(held.get(k) != v for k, v in content.items() if k not in grows) or (
