@@ -6,6 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from rollouts import (
+    GNSS,
     OWN,
     TRACKING,
     VALIDATION,
@@ -86,6 +87,11 @@ def test_of_many_known_names_the_most_alike_are_told():
     said = unknown("fruit", "aple", ["apple", *(f"cherry-{i}" for i in range(40))])
     assert "Did you mean 'apple'? Known: apple, cherry" in said and len(said) < 250
     assert said.count("cherry") == 11 and said.endswith(" and 29 others.")
+
+
+@pytest.mark.parametrize(("env_id", "log"), [(GNSS, "plots"), (TRACKING, "rinex"), (OWN, "log")])
+def test_a_log_of_another_kind_says_whom_it_is_for(env_id, log):
+    assert f"takes no {log}: " in complaint(TypeError, gym.make, env_id, **{log: "file"})
 
 
 @every_environment

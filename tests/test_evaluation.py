@@ -341,7 +341,7 @@ def write_policy(path, bias=0.0):
     return str(path)
 
 
-def test_a_policy_cannot_take_a_yardsticks_name(tmp_path):
+def test_a_policy_cannot_take_a_fixed_agents_name(tmp_path):
     policy = write_policy(tmp_path / "fixed.npz")
     with pytest.raises(ValueError, match="OTHER=PATH"):
         small(agents=(policy,))

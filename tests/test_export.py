@@ -365,6 +365,9 @@ def test_the_command_writes_the_files_and_says_how_to_test_them(tmp_path):
     for name in ("kfenv_policy.h", "kfenv_policy.c", "kfenv_golden.h", "contract.md"):
         assert (tmp_path / "c" / name).stat().st_size > 1000 and name in result.output
     assert "./kfenv_test --bench" in result.output
+    again = kfenv("learned-small", "--env", BISTATIC, "--to", "npz", "--output", tmp_path / "c")
+    assert again.exit_code == 2 and "is not empty: name another" in again.output
+    assert not (tmp_path / "c" / "policy.npz").exists()
 
 
 @pytest.mark.parametrize("arguments, said", [

@@ -32,6 +32,10 @@ def export(
     with complaints():
         from ..deployment.deployable import Deployable
         from ..deployment.export import export_policy
+        from ..files import is_free
+
+        if not is_free(output):
+            raise FileExistsError(f"The folder {output} is not empty: name another with --output.")
 
         kwargs = env_kwargs(None, None, None, None, option)
         for path in export_policy(Deployable.find(policy, env, **kwargs), to, output):

@@ -28,7 +28,7 @@ from .rollout import draw_episodes, rollout
 from .scores import Scores
 from .summary import NOMINAL
 from .tuning import Search, parameters_of
-from .yardsticks import ERROR, costs
+from .tuning_costs import ERROR, costs
 
 
 class Trial(NamedTuple):

@@ -9,7 +9,7 @@ from kfenv.names import unknown
 
 from ..contestants.registry import NAMES, make_agent
 from .summary import NOMINAL, TUNED
-from .yardsticks import ERROR, YARDSTICKS
+from .tuning_costs import COSTS, ERROR
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,8 @@ class Contest:
         tuning_trials: settings that each may try for each of its parameters.
         tuning_kwargs: of the environment that agents are tuned in, if others than `env_kwargs`.
             Its faults are then what they expect in the test as well.
-        against: an agent that all are compared with besides the yardsticks.
-        tune_on: what tuning makes small, see `kfenv.agents.contest.yardsticks.costs`.
+        against: an agent that all are compared with besides `fixed` and `fixed-tuned`.
+        tune_on: what tuning makes small, see `kfenv.agents.contest.tuning_costs.costs`.
     """
 
     env_id: str
@@ -43,8 +43,8 @@ class Contest:
     tune_on: str = ERROR
 
     def __post_init__(self) -> None:
-        if self.tune_on not in YARDSTICKS:
-            raise ValueError(unknown("yardstick of tuning", self.tune_on, YARDSTICKS))
+        if self.tune_on not in COSTS:
+            raise ValueError(unknown("cost of tuning", self.tune_on, COSTS))
         for name, least in (("episodes", 2), ("tuning_episodes", 1), ("tuning_trials", 0)):
             if getattr(self, name) < least:
                 raise ValueError(f"{name} must be at least {least}, got {getattr(self, name)}.")
@@ -59,10 +59,10 @@ class Contest:
 
     @property
     def all_agents(self) -> tuple[str, ...]:
-        """The yardsticks first, the tuned one only where there is tuning; then the rival."""
-        yardsticks = (NOMINAL, TUNED) if self.tuning_trials > 0 else (NOMINAL,)
+        """The fixed ones first, the tuned one only where there is tuning; then the rival."""
+        fixed = (NOMINAL, TUNED) if self.tuning_trials > 0 else (NOMINAL,)
         rival = () if self.against is None else (self.against,)
-        return tuple(dict.fromkeys((*yardsticks, *rival, *self.agents)))
+        return tuple(dict.fromkeys((*fixed, *rival, *self.agents)))
 
     @property
     def tuning_place(self) -> tuple[str, dict[str, Any]]:

@@ -18,7 +18,7 @@ from .contest import Contest
 from .rollout import check_scored, draw_episodes, scenario_and_options
 from .scores import read_cost, read_scores, scores_path
 from .summary import NOMINAL, TUNED, summarise
-from .yardsticks import AXES, ERROR
+from .tuning_costs import AXES, ERROR
 
 # What is compared, not on what: an evaluated folder may gain agents and change the rival.
 COMPARED = ("agents", "against", "policies")
@@ -34,7 +34,7 @@ def evaluate(
 ) -> list[dict[str, Any]]:
     """Run a contest and write ``results.json`` and each agent's scores into a folder.
 
-    ``fixed`` and (with tuning) ``fixed-tuned`` always take part, as yardsticks. What is
+    ``fixed`` and (with tuning) ``fixed-tuned`` always take part, to be compared with. What is
     finished of an agent (its tuning, blocks of episodes, its scores) is kept, so that resuming
     repeats none of it. A folder may gain agents by resuming with more of them.
 

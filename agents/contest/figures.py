@@ -179,7 +179,7 @@ def _east_north(position: Array, origin: Array, rotation: Array) -> tuple[Array,
 
 
 def _shown(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The yardsticks, the clairvoyant and the three best of the others."""
+    """The fixed ones, the clairvoyant and the three best of the others."""
     always = ("fixed", "fixed-tuned", "clairvoyant")
     others = [r for r in _ranked(results) if r["agent"] not in always][:3]
     return [r for r in results if r["agent"] in always] + others

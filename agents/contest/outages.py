@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..contestants.registry import make_agent
 from .rollout import draw_episodes, rollout, scenario_and_options
 from .tuning import tune
-from .yardsticks import ERROR
+from .tuning_costs import ERROR
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ def outage_errors(
         times: of the last fix before each outage, s of the log's clock.
         tuning: trials for each parameter, and outages in the part for training to tune on.
         seed: of the tuning.
-        on: what tuning makes small, see `kfenv.agents.contest.yardsticks.costs`.
+        on: what tuning makes small, see `kfenv.agents.contest.tuning_costs.costs`.
 
     Raises:
         ValueError: if there is no log, or an outage is not within it.

@@ -13,7 +13,7 @@ from .scores import Scores
 
 Array = NDArray[np.float64]
 
-# The yardsticks, and what a difference or ratio to each is called.
+# The fixed agents, and what a difference or ratio to each is called.
 NOMINAL, TUNED = "fixed", "fixed-tuned"
 
 

@@ -12,7 +12,7 @@ from kfenv.scenarios.recording import Recording
 
 from ..contestants.agent import Contestant, Parameter
 from .rollout import scenario_and_options
-from .yardsticks import ERROR, Array, costs
+from .tuning_costs import ERROR, Array, costs
 
 Steps = Generator[list[Array], list[float], None]
 
@@ -43,7 +43,7 @@ def tune(
         recording: the tuning episodes.
         trials: how many settings may be tried for each parameter.
         advance: called after each trial.
-        on: see `kfenv.agents.contest.yardsticks.costs`; the error by default.
+        on: see `kfenv.agents.contest.tuning_costs.costs`; the error by default.
         tried: called with the values of each trial and the episodes' costs.
     """
     search = Search(parameters_of(agent, env_id, env_kwargs), trials, seed, on != ERROR)

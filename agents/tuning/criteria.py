@@ -11,7 +11,7 @@ from kfenv.envs.options import Options
 from kfenv.scenarios.recording import Recording
 
 from ..contest.rollout import check_scored
-from ..contest.yardsticks import ERROR, WITHHELD, foreseen_costs, withhold
+from ..contest.tuning_costs import ERROR, WITHHELD, foreseen_costs, withhold
 from .innovations import instants
 
 Array = NDArray[np.float64]

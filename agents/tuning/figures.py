@@ -79,7 +79,7 @@ def _lags(axes: Axes, channel: dict[str, Any]) -> None:
 
 
 def _noise(report: dict[str, Any]) -> Figure:
-    """Each parameter's value and interval under every yardstick."""
+    """Each parameter's value and interval under every criterion."""
     names = [
         name for name, row in report["static"][report["by"][0]]["parameters"].items()
         if row["what"] != "coupling"

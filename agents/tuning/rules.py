@@ -13,7 +13,7 @@ from kfenv.scenarios.recording import Recording
 
 from ..contest.rollout import make_core, play, scenario_and_options
 from ..contest.tuning import tune
-from ..contest.yardsticks import costs
+from ..contest.tuning_costs import costs
 from ..contestants.agent import Agent
 from ..contestants.registry import make_agent
 

@@ -37,7 +37,7 @@ class Study:
 
     Attributes:
         env_id, env_kwargs: the environment; kwargs must be plain JSON values.
-        by: yardsticks of the static noise; the first is the one that is reported and that rules
+        by: criteria of the static noise; the first is the one that is reported and that rules
             are tuned on.
         shape: "groups", "channels" or "full", see `NoiseShape`.
         rules: agents whose gates and windows are tuned.
@@ -60,7 +60,7 @@ class Study:
     def __post_init__(self) -> None:
         for name in self.by:
             if name not in STATIC:
-                raise ValueError(unknown("yardstick", name, STATIC))
+                raise ValueError(unknown("criterion", name, STATIC))
         for name, least in (("episodes", 1), ("test_episodes", 1), ("trials", 1)):
             if getattr(self, name) < least:
                 raise ValueError(f"{name} must be at least {least}, got {getattr(self, name)}.")

@@ -20,6 +20,13 @@ LONGEST_INTERVAL = 1_000_000  # filter steps of a decision
 ENGINE = "srukf-joseph-exact"
 GAUSSIAN_SUMS = ("gsekf", "gsckf")
 
+# Arguments with a real log, and whom it is for.
+LOGS = {
+    "plots": "plots are for the radars and BistaticTracking",
+    "rinex": "a RINEX log is for GnssTracking",
+    "log": "an inertial log is for InsGnss",
+}
+
 
 @dataclass(frozen=True)
 class Options:
@@ -80,6 +87,8 @@ def split_keywords(scenario_class: type, keywords: dict[str, Any]) -> tuple[Any,
     of_options = [item.name for item in fields(Options)]
     for name in keywords:
         if name not in of_scenario and name not in of_options:
+            if name in LOGS:
+                raise TypeError(f"{scenario_class.__name__} takes no {name}: {LOGS[name]}.")
             raise TypeError(unknown("keyword argument", name, of_scenario + of_options))
     options = Options(**{k: v for k, v in keywords.items() if k in of_options})
     scenario = scenario_class(**{k: v for k, v in keywords.items() if k in of_scenario})

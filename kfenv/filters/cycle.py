@@ -16,17 +16,17 @@ no bit of the others.
 
 from numba import njit
 
-from kfenv.models.namespaces.compiled import FLOATING_POINT, wrap
+from kfenv.models.namespaces.compiled import INNER, wrap
 from kfenv.models.namespaces.lanes import lift, load, spread, sqrt, store, where_greater
 
 
-@njit(forceinline=True, **FLOATING_POINT)
+@njit(forceinline=True, **INNER)
 def _plain(number):
     """The number as a variable: Numba compiles a function anew for every literal argument."""
     return number + 0
 
 
-@njit(**FLOATING_POINT)
+@njit(**INNER)
 def _triangularise(A, L, rows, width):
     """L := lower factor with L L^T = A A^T, diagonal >= 0; destroys A (Householder)."""
     for i in range(rows):
@@ -53,7 +53,7 @@ def _triangularise(A, L, rows, width):
             store(L, k * rows + i, -sign * load(A, k * width + i))
 
 
-@njit(**FLOATING_POINT)
+@njit(**INNER)
 def _add_noise(root, root_scale, noise, noise_scale, L, A):
     """L := lower factor of root_scale^2 root root^T + noise_scale^2 noise noise^T.
 
@@ -86,7 +86,7 @@ def _add_noise(root, root_scale, noise, noise_scale, L, A):
             store(L, k * N + i, -sign * (load(L, k * N + i) - projection * head))
 
 
-@njit(**FLOATING_POINT)
+@njit(**INNER)
 def _draw(mean, factor, X):
     """Sigma points mean, mean +- sqrt(n + kappa) factor[:, i] along the rows of X."""
     for i in range(N):
@@ -102,7 +102,7 @@ def _draw(mean, factor, X):
                 store(X, i * P + 1 + N + j, centre)
 
 
-@njit(**FLOATING_POINT)
+@njit(**INNER)
 def _mean_offset(X, row, is_angle):
     """Turn a row of points into offsets from the central one; return their weighted mean."""
     centre = load(X, row)
@@ -116,7 +116,7 @@ def _mean_offset(X, row, is_angle):
     return WEIGHT * total  # the central offset is zero, whatever its weight
 
 
-@njit(**FLOATING_POINT)
+@njit(**INNER)
 def _predict_lanes(mean, factor, u, dt, new_mean, root, noise, X):
     """Propagate; root and noise are the two parts of the predicted factor."""
     inputs = input_components(u)
@@ -142,7 +142,7 @@ def _predict_lanes(mean, factor, u, dt, new_mean, root, noise, X):
     _triangularise(X, root, _plain(N), _plain(P))
 
 
-@njit(**FLOATING_POINT)
+@njit(**INNER)
 def _innovate_lanes(w):
     """Innovation, its variance and whitened form; fills U, Re and C (SPEC section 9)."""
     inputs = sensor_components(w.s)
@@ -188,7 +188,7 @@ def _innovate_lanes(w):
         store(w.variance, c, total)
 
 
-@njit(**FLOATING_POINT)
+@njit(**INNER)
 def _correct_lanes(w):
     """K = S U^T C^-T C^-1 and S+ = tria[S - K U, K Re]; K is held one row a channel."""
     count = load(w.count, 0)
@@ -233,7 +233,7 @@ def _correct_lanes(w):
             store(w.S, k, where_greater(count, 0.5, load(w.S, k), load(w.L, k)))
 
 
-@njit(**FLOATING_POINT)
+@njit(**INNER)
 def _keep_lanes(w):
     """Where no lane has a measurement: what `_correct_lanes` gives then, for nothing."""
     for i in range(N):

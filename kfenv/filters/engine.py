@@ -220,7 +220,7 @@ def _kernel(motion: Motion, sensor: Sensor, kappa: float) -> ModuleType:
 def _entry_point(function: FunctionType, identity: str):
     """Compile a kernel function, cached on disk under a name of its own for each pair."""
     function.__qualname__ = f"{function.__name__}_{identity}"
-    kernel = njit(cache=True, **compiled.FLOATING_POINT)(function)
+    kernel = njit(cache=True, **compiled.FLOATING_POINT, no_cfunc_wrapper=True)(function)
 
     def call(*arguments):
         try:

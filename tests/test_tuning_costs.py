@@ -7,12 +7,12 @@ import pytest
 from kfenv.agents.cli.app import app
 from kfenv.agents.contest.rollout import draw_episodes, rollout
 from kfenv.agents.contest.tuning import tune
-from kfenv.agents.contest.yardsticks import PERIOD, YARDSTICKS, costs, measured, withhold
+from kfenv.agents.contest.tuning_costs import COSTS, PERIOD, costs, measured, withhold
 from kfenv.agents.contestants.registry import make_agent
 from rollouts import BISTATIC, INERTIAL, TRACKING, change, draw, make, short
 from typer.testing import CliRunner
 
-LABEL_FREE = tuple(name for name in YARDSTICKS if name not in ("error", "axes"))
+LABEL_FREE = tuple(name for name in COSTS if name not in ("error", "axes"))
 CALM = {"faults": "none", "duration": 12.0, "rate": 5.0}
 
 

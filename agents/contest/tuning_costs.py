@@ -25,7 +25,7 @@ from .rollout import make_core, play, rollout, scenario_and_options
 Array = NDArray[np.float64]
 
 ERROR, AXES, WITHHELD = "error", "axes", "withheld"
-YARDSTICKS = (ERROR, *LABEL_FREE, WITHHELD, AXES)
+COSTS = (ERROR, *LABEL_FREE, WITHHELD, AXES)
 
 # Of so many measurements the last few are kept from the filter, which foresees them one by one.
 PERIOD, KEPT = 12, 3
@@ -49,7 +49,7 @@ def costs(
       measured, in told deviations. The logarithm bears outliers.
 
     Raises:
-        ValueError: if an episode has no truth, or the contestant does not suit the yardstick.
+        ValueError: if an episode has no truth, or the contestant does not suit `on`.
     """
     if on == ERROR:
         return np.log(rollout(contestant, env_id, env_kwargs, recording, seed).rmse)

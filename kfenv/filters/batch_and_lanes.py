@@ -1,0 +1,107 @@
+"""What the kernels do between a batch and its lanes; the same for every pair of models.
+
+These functions know sizes from their arrays alone. Numba compiles them once and keeps them,
+where the templates' own are compiled for each pair.
+"""
+
+import sys
+from math import isnan, log, nan
+
+from numba import njit
+
+from kfenv.models.namespaces.compiled import INNER, TWO_PI
+from kfenv.models.namespaces.lanes import LANES
+
+LARGEST = sys.float_info.max
+OK, BAD_PREDICTION, BAD_INNOVATION, BAD_UPDATE = 0, 1, 2, 3
+
+
+@njit(cache=True, **INNER)
+def anything_arrived(count):
+    """Whether any lane has a measurement: filters may predict more often than they update."""
+    for lane in range(LANES):
+        if count[0, lane] > 0.5:
+            return True
+    return False
+
+
+@njit(cache=True, **INNER)
+def gather(source, first, target):
+    """Lane l of the target takes row first + l of the source (B, K); the last row fills up."""
+    last = source.shape[0] - 1
+    for lane in range(LANES):
+        b = min(first + lane, last)
+        for k in range(source.shape[1]):
+            target[k, lane] = source[b, k]
+
+
+@njit(cache=True, **INNER)
+def scatter(source, first, status, target):
+    """Give each running filter its lane back."""
+    for lane in range(min(LANES, target.shape[0] - first)):
+        if status[first + lane] == OK:
+            for k in range(target.shape[1]):
+                target[first + lane, k] = source[k, lane]
+
+
+@njit(cache=True, **INNER)
+def scatter_factor(source, first, status, target, n):
+    """The same for lower factors (n, n), zero above the diagonal."""
+    for lane in range(min(LANES, target.shape[0] - first)):
+        if status[first + lane] == OK:
+            for i in range(n):
+                for j in range(n):
+                    value = source[i * n + j, lane] if j <= i else 0.0
+                    target[first + lane, i * n + j] = value
+
+
+@njit(cache=True, **INNER)
+def gather_measurement(measurement, noise, first, w):
+    """Mark what arrived; what did not gets a harmless value and unit noise."""
+    last = measurement.shape[0] - 1
+    for lane in range(LANES):
+        b = min(first + lane, last)
+        w.count[0, lane] = 0.0
+        for c in range(measurement.shape[1]):
+            here = not isnan(measurement[b, c])
+            w.z[c, lane] = measurement[b, c] if here else 0.0
+            w.sd[c, lane] = noise[b, c] if here else 1.0
+            w.arrived[c, lane] = 1.0 if here else 0.0
+            w.count[0, lane] += w.arrived[c, lane]
+
+
+@njit(cache=True, **INNER)
+def is_finite(mean, factor, lane):
+    """Whether a lane holds nothing infinite and no NaN."""
+    n = mean.shape[0]
+    for i in range(n):
+        if not abs(mean[i, lane]) <= LARGEST:
+            return False
+        for j in range(i + 1):
+            if not abs(factor[i * n + j, lane]) <= LARGEST:
+                return False
+    return True
+
+
+@njit(cache=True, **INNER)
+def assess(whitened, C, arrived, lane):
+    """Normalised innovation squared and log-likelihood; NaN and 0 if nothing arrived."""
+    m = arrived.shape[0]
+    squared, log_likelihood, count = 0.0, 0.0, 0.0
+    for c in range(m):
+        if arrived[c, lane] > 0.5:
+            squared += whitened[c, lane] * whitened[c, lane]
+            log_likelihood -= log(C[c * m + c, lane]) + 0.5 * log(TWO_PI)
+            count += 1.0
+    if count == 0.0:
+        return nan, 0.0
+    return squared, log_likelihood - 0.5 * squared
+
+
+@njit(cache=True, **INNER)
+def mark_missing(arrived, lane, b, innovation, variance, whitened):
+    for c in range(arrived.shape[0]):
+        if arrived[c, lane] < 0.5:
+            innovation[b, c] = nan
+            variance[b, c] = nan
+            whitened[b, c] = nan
