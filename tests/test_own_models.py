@@ -2,6 +2,7 @@
 
 import pickle
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium as gym
@@ -17,6 +18,7 @@ from kfenv.agents.contest.rollout import rollout, scenario_and_options
 from kfenv.agents.contestants.registry import make_agent
 from kfenv.agents.jobs.task import Task, run_packed
 from numba import njit
+from pairs import PAIRS
 from rollouts import OWN, assert_same, play, random_actions, zeros
 
 from kfenv.envs.loop import make_filter
@@ -29,6 +31,7 @@ from kfenv.filters.results import BAD_PREDICTION, OK
 from kfenv.models.model import Component, Sensor
 from kfenv.models.namespaces import batch, compiled, dual, lanes, scalar
 from kfenv.models.own import own_motion, own_sensor
+from kfenv.models.turns import undeclared_angles
 from kfenv.models.yardstick import Yardstick
 from kfenv.scenarios.faults import Jamming, SignalLoss
 from kfenv.scenarios.own import OwnFilter, recording_of, simulate
@@ -548,6 +551,34 @@ def test_an_angle_that_is_not_declared_is_found():
     plain = own_sensor((Component("angle", "rad"),), lambda x, s: x[:1], 2)
     with pytest.raises(ValueError, match="'angle' jumps by a turn and is not declared an angle"):
         simulate(motion, plain, "none", **(SWING | {"mean": (3.1, 4.0)}))
+
+
+@pytest.mark.parametrize(("angles", "found"), [
+    ((False, False), ["state 'angle'", "channel 'angle'"]),
+    ((True, False), ["channel 'angle'"]),
+    ((True, True), []),
+])  # fmt: skip
+def test_an_angle_declared_nowhere_is_found_by_a_turn_more_of_it(angles, found):
+    state, channel = (Component("angle", "rad", angle=angle) for angle in angles)
+    motion = own_motion((state, "rate"), swing, Q=(0.0, 1e-3))
+    sensor = own_sensor((channel,), lambda x, s: x[:1], states=2)
+    assert undeclared_angles(motion, sensor) == found
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        OwnFilter(motion=motion, sensor=sensor, scored=("angle",), scale=0.05, **SWING)
+    assert [str(warning.message).partition(" is")[0].partition(" are")[0] for warning in told] == (
+        [f"The {', the '.join(found)}"] if found else []
+    )
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_what_is_no_angle_or_declared_one_is_not_taken_for_one(name):
+    motion, sensor, _ = PAIRS[name]
+    assert undeclared_angles(motion, sensor) == []
+    bare = [replace(part, angle=False) for part in motion.states]
+    angles = [f"state {state.name!r}" for state in motion.states if state.angle]
+    found = undeclared_angles(replace(motion, states=tuple(bare)), sensor)
+    assert [one for one in found if "state" in one] == angles
 
 
 def test_correlated_noise_has_a_remedy():

@@ -18,7 +18,13 @@ from kfenv.models.model import Motion, Sensor
 from kfenv.models.probe import probe_motion, probe_sensor
 from kfenv.models.yardstick import Yardstick
 from kfenv.scenarios.faults import Draft, Fault, Glint, Jamming, NoiseMisreport, SignalLoss
-from kfenv.scenarios.own_checks import check_angles, check_recorded, check_scored, find_model
+from kfenv.scenarios.own_checks import (
+    check_angles,
+    check_recorded,
+    check_scored,
+    find_model,
+    warn_of_angles,
+)
 from kfenv.scenarios.recording import Recording
 from kfenv.scenarios.scenario import TrackingScenario
 from kfenv.scenarios.trajectories import drawn_trajectory
@@ -73,6 +79,7 @@ class OwnFilter(TrackingScenario):
         super().__post_init__()
         probe_motion(self.motion)
         probe_sensor(self.sensor, len(self.motion.states))
+        warn_of_angles(self.motion, self.sensor)
         check_scored(self.motion, self.scored, self.scored_rates, self.scale)
         self._check_numbers()
 

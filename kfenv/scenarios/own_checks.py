@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
@@ -13,6 +14,7 @@ from kfenv.checks import is_number
 from kfenv.models.model import Motion, Sensor
 from kfenv.models.namespaces import batch
 from kfenv.models.probe import probe_sensor
+from kfenv.models.turns import undeclared_angles
 from kfenv.names import unknown
 from kfenv.scenarios.recording import Recording
 
@@ -117,3 +119,16 @@ def check_angles(sensor: Sensor, exact: Array) -> None:
                 f"The channel {channel.name!r} jumps by a turn and is not declared an angle: make "
                 f"it Component({channel.name!r}, 'rad', angle=True)."
             )
+
+
+def warn_of_angles(motion: Motion, sensor: Sensor) -> None:
+    """Warn of states and channels that behave as angles and are not declared so."""
+    found = undeclared_angles(motion, sensor)
+    if found:
+        several = len(found) > 1
+        warnings.warn(
+            f"The {', the '.join(found)} {'are angles' if several else 'is an angle'}, since a turn "
+            "more changes nothing, and not declared so: make it Component(NAME, 'rad', angle=True), "
+            "or differences are not wrapped.",
+            stacklevel=2,
+        )
