@@ -22,8 +22,7 @@ def paths(tmp_path_factory):
 def on_log(command, paths, output, *options):
     arguments = [
         command, INERTIAL, "--option", f"log={json.dumps(paths)}", "--output", str(output),
-        "--option", "process_noise=[0.3,0.3,0.1]", "--option", "biases=false", "--rate", "20",
-        *options,
+        "--rate", "20", *options,
     ]  # fmt: skip
     return CliRunner().invoke(app, arguments)
 

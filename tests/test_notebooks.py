@@ -25,7 +25,7 @@ SHORT = {
         "assert all(image.startswith(b'\\x89PNG') for image in figures.values())",
     ),
     "when_fading_helps": (
-        "RUNS, RATE = 4, 10.0",
+        "RUNS, RATE, DURATION = 4, 10.0, 26.0",
         # SPEC 6
         "assert np.isclose(at_20['plain'], 0.5) and np.isclose(at_20['fading'], 0.998, atol=1e-3)\n"
         "assert at_20['Gaussian sum, fading, robust V'] < 0.01\n"
@@ -62,7 +62,7 @@ SHORT = {
         "assert mismatch < 1e-9",
     ),
     "your_own_filter": (
-        "TRIALS, EPISODES = 1, 6",
+        "TRIALS, EPISODES, DURATION = 1, 6, 500.0",
         "error = {r['agent']: r['rmse_geometric_mean'] for r in results}\n"
         "assert error['clairvoyant'] < error['fixed'] and best in error\n"
         # the filter that is fed by hand is the one of the contest
@@ -74,7 +74,7 @@ SHORT = {
     ),
     "real_gps_log": (
         f"OBSERVATIONS, NAVIGATION = {str(OBSERVED)!r}, {str(BROADCAST)!r}\n"
-        "EPISODES, TRIALS, AGENTS, JERKS = 2, 1, (), (1.0, 1e-8)",
+        "EPISODES, TRIALS, AGENTS, JERKS, SHARE = 2, 1, (), (1.0, 1e-8), 0.4",
         "assert np.all(np.abs(fix_error[known].mean(axis=0)) < (1.0, 1.0, 2.0))\n"
         "assert rms(errors['nominal']) < rms(errors['single-epoch fix'])\n"
         # the replay with the tuned setting is the tuned agent

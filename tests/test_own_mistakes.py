@@ -96,7 +96,7 @@ def an_input_too_many(xp):
 
 
 @pytest.mark.parametrize(("f", "words"), [
-    (a_branch, r"f \(line \d+ of test_own_models.py\) branches on a component.*xp.maximum"),
+    (a_branch, r"f \(line \d+ of test_own_mistakes.py\) branches on a component.*xp.maximum"),
     (a_math_function, r"f \(line \d+.*gives a component to a function for single numbers.*`math`"),
     (a_numpy_function, r"f .*gives a component to NumPy.*namespace's functions"),
     (a_missing_function, r"f .*asks the namespace for tanh, and it has .*sqrt"),

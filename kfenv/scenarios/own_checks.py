@@ -125,10 +125,9 @@ def warn_of_angles(motion: Motion, sensor: Sensor) -> None:
     """Warn of states and channels that behave as angles and are not declared so."""
     found = undeclared_angles(motion, sensor)
     if found:
-        several = len(found) > 1
+        are = "are angles" if len(found) > 1 else "is an angle"
         warnings.warn(
-            f"The {', the '.join(found)} {'are angles' if several else 'is an angle'}, since a turn "
-            "more changes nothing, and not declared so: make it Component(NAME, 'rad', angle=True), "
-            "or differences are not wrapped.",
+            f"The {', the '.join(found)} {are}, since a turn more changes nothing, and not declared "
+            "so: make it Component(NAME, 'rad', angle=True), or differences are not wrapped.",
             stacklevel=2,
         )
