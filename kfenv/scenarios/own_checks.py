@@ -127,7 +127,8 @@ def warn_of_angles(motion: Motion, sensor: Sensor) -> None:
     if found:
         are = "are angles" if len(found) > 1 else "is an angle"
         warnings.warn(
-            f"The {', the '.join(found)} {are}, since a turn more changes nothing, and not declared "
-            "so: make it Component(NAME, 'rad', angle=True), or differences are not wrapped.",
+            f"The {', the '.join(found)} {are}, since a turn more changes nothing, and not "
+            "declared so: make it Component(NAME, 'rad', angle=True), or its differences are not "
+            "wrapped.",
             stacklevel=2,
         )
