@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from math import pi, radians
@@ -85,8 +86,12 @@ class HardGeometry(RadarScenario):
         """See `TrackingScenario`."""
         return np.tile(self.prior, 3)
 
-    def trajectory(self, rng: Generator) -> Array:
-        """Truth (T, 9): an arc of constant speed and turn rate."""
+    def trajectories(self, rngs: Sequence[Generator]) -> Array:
+        """Truth (B, T, 9)."""
+        return np.stack([self._arc(rng) for rng in rngs])
+
+    def _arc(self, rng: Generator) -> Array:
+        """Truth (T, 9) of constant speed and turn rate."""
         distance, elevation = rng.uniform(*self.distance), rng.uniform(*self.elevation)
         bearing = rng.uniform(*self.bearing)
         heading = bearing + rng.choice((-0.5, 0.5)) * pi
@@ -105,7 +110,7 @@ class HardGeometry(RadarScenario):
 
     def noise(self, draft: RadarDraft, snr: Array) -> Array:
         """The same at every time."""
-        return np.broadcast_to(self.noise_deviation, (len(self.time), 3))
+        return np.broadcast_to(self.noise_deviation, draft.exact.shape)
 
 
 CLOSE = {"distance": (5.0, 100.0), "elevation": (0.0, 0.5 * pi)}

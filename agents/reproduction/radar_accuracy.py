@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,10 +44,10 @@ DRAWN_DURATION, DRAWN_SETTLED = 30.0, 10.0  # s: some longer ones would pass clo
 class DrawnFlights(RadarValidation):
     """Flights drawn from the filter's own motion model, from where trajectory A starts."""
 
-    def trajectory(self, rng: Generator) -> Array:
-        """Truth (T, 9)."""
+    def trajectories(self, rngs: Sequence[Generator]) -> Array:
+        """Truth (B, T, 9)."""
         start = paper_trajectory("A", self.time[:2])[0]
-        return drawn_trajectory(rng, self.motion, start, self.time)
+        return np.stack([drawn_trajectory(rng, self.motion, start, self.time) for rng in rngs])
 
 
 def accuracy(study: Study, outcomes: dict[str, Outcome], name: str) -> list[Claim]:

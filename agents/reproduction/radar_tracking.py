@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -83,9 +84,9 @@ class TrajectoryB(RadarTracking):
         """Variable turn, white jerk of 1 m^2/s^5."""
         return variable_turn(1.0, self.speed_floor)
 
-    def trajectory(self, rng: Generator) -> Array:
-        """Truth (T, 9), always the same."""
-        return paper_trajectory("B", self.time)
+    def trajectories(self, rngs: Sequence[Generator]) -> Array:
+        """Truth (B, T, 9), always the same."""
+        return np.tile(paper_trajectory("B", self.time), (len(rngs), 1, 1))
 
 
 def reproduce(laboratory: Laboratory) -> list[Claim]:

@@ -67,6 +67,11 @@ class Core(Loop):
 
     def load(self, chosen: NDArray[np.int64], recording: Recording) -> None:
         """Start new episodes at the chosen places, one per episode of the recording."""
+        self.place(chosen, recording)
+        self.open(chosen)
+
+    def place(self, chosen: NDArray[np.int64], recording: Recording) -> None:
+        """Put new episodes at the chosen places, still to be opened."""
         for name, array in self._episode.items():
             given = getattr(recording, name)
             array[chosen] = 1.0 if given is None else given  # only `scored` may be left out
@@ -83,6 +88,9 @@ class Core(Loop):
         if self.foresight is not None:
             self.foresight.restart(chosen, recording)
         self._to_score[chosen] = np.maximum(recording.scored_instants, 1.0)
+
+    def open(self, chosen: NDArray[np.int64]) -> None:
+        """Look at the first measurements of the episodes placed there."""
         mask = np.zeros(self.batch, bool)
         mask[chosen] = True
         self._score(mask)

@@ -18,6 +18,7 @@ from kfenv.envs.options import Options, check_recording, split_keywords
 from kfenv.envs.statistics import BOUND
 from kfenv.names import unknown
 from kfenv.scenarios.recording import Recording
+from kfenv.scenarios.scenario import AT_ONCE
 
 RENDER_MODES = ("rgb_array", "human")
 INFOS = FULL, NONE = "full", "none"
@@ -270,9 +271,12 @@ class TrackingVectorEnv(VectorEnv):
 
     def _begin(self, mask: NDArray[np.bool_]) -> None:
         chosen = np.flatnonzero(mask)
-        rngs = [self._generator(i) for i in chosen]
-        episodes = chosen + self.num_envs * self._episodes[chosen]
-        self.core.load(chosen, _next_recording(self.scenario, self.options, rngs, episodes))
+        for first in range(0, len(chosen), AT_ONCE):
+            part = chosen[first : first + AT_ONCE]
+            rngs = [self._generator(i) for i in part]
+            episodes = part + self.num_envs * self._episodes[part]
+            self.core.place(part, _next_recording(self.scenario, self.options, rngs, episodes))
+        self.core.open(chosen)
         self._episodes[chosen] += 1
         self._over[chosen] = False
         self._begun[chosen] = True

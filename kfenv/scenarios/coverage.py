@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
+
+from kfenv.scenarios.draws import Draws
 
 Array = NDArray[np.float64]
 
@@ -71,44 +74,55 @@ def in_coverage(
 def place(
     rng: Generator, path: Array, anchor: Array, ground_range: tuple[float, float]
 ) -> Placement | None:
-    """Turn and shift a path at random so that all of it lies in coverage.
+    """Turn and shift a path (3, N) at random, see `places`; None where no drawn one fits."""
+    found, angle, shift = places([rng], path[:, None], anchor[:, None], ground_range)
+    return Placement(float(angle[0]), shift[:, 0]) if found[0] else None
+
+
+def places(
+    rngs: Sequence[Generator], path: Array, anchor: Array, ground_range: tuple[float, float]
+) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Turn and shift paths at random so that all of each lies in coverage.
 
     Args:
-        rng: source of the angle, and of the distance and bearing where the anchor goes.
-        path: (3, N) points about a second apart, m.
-        anchor: (2,) the point, east and north, that goes to the drawn place, m.
+        rngs: B sources of the angle, and of the distance and bearing where the anchor goes.
+        path: (3, B, N) points about a second apart, m.
+        anchor: (2, B) the point, east and north, that goes to the drawn place, m.
         ground_range: least and greatest horizontal distance of the anchor, m.
 
     Returns:
-        The first of 16 drawn placements that keeps the path inside the limits by the
-        margins above, or None where none does.
+        Of the first of 16 drawn placements that keeps a path inside the limits by the margins
+        above: whether there is one (B,), its angle (B,) and shift (2, B).
     """
-    angle = rng.uniform(0.0, 2.0 * np.pi, CANDIDATES)
-    distance = rng.uniform(*ground_range, CANDIDATES)
-    bearing = rng.uniform(-MAX_AZIMUTH, MAX_AZIMUTH, CANDIDATES)
-    goal = np.array([distance * np.sin(bearing), distance * np.cos(bearing)]).T
-    placed = turn(path[:2] - anchor[:, None], angle) + goal[:, :, None]
-    inside = in_coverage(placed[:, 0], placed[:, 1], path[2], RANGE_MARGIN, ANGLE_MARGIN)
-    first = int(np.argmax(inside.all(axis=1)))
-    if not inside[first].all():
-        return None
-    shift = goal[first] - turn(anchor[:, None], angle[first])[:, 0]
-    return Placement(float(angle[first]), shift)
+    draws = Draws(rngs, 3 * CANDIDATES)
+    angles = draws.uniform(0.0, 2.0 * np.pi, CANDIDATES)
+    distance = draws.uniform(*ground_range, CANDIDATES)
+    bearing = draws.uniform(-MAX_AZIMUTH, MAX_AZIMUTH, CANDIDATES)
+    goal = np.stack([distance * np.sin(bearing), distance * np.cos(bearing)], axis=-1)
+    level = np.moveaxis(path[:2] - anchor[..., None], 1, 0)
+    placed = turn(level[:, None], angles) + goal[..., None]
+    inside = in_coverage(
+        placed[..., 0, :], placed[..., 1, :], path[2][:, None], RANGE_MARGIN, ANGLE_MARGIN
+    ).all(axis=-1)
+    every, first = np.arange(len(rngs)), np.argmax(inside, axis=1)
+    angle = angles[every, first]
+    shift = goal[every, first].T - turn(anchor.T[..., None], angle)[..., 0].T
+    return inside[every, first], angle, shift
 
 
 def turn(vectors: Array, angle: Array | float) -> Array:
-    """Turn horizontal vectors (..., 2, N), east and north, clockwise.
+    """Turn horizontal vectors, east and north, clockwise.
 
     Args:
-        vectors: of any unit.
-        angle: one, or (M,) of which each turns the N vectors, rad.
+        vectors: (..., 2, N) of any unit.
+        angle: (...) rad, each of which turns N vectors; both broadcast.
 
     Returns:
-        The turned vectors (..., 2, N), or (M, 2, N).
+        The turned vectors (..., 2, N).
     """
     sine, cosine = np.sin(angle), np.cos(angle)
-    rotation = np.array([[cosine, sine], [-sine, cosine]])
-    return np.moveaxis(rotation, (0, 1), (-2, -1)) @ vectors
+    rotation = np.stack([cosine, sine, -sine, cosine], axis=-1)
+    return rotation.reshape(*rotation.shape[:-1], 2, 2) @ vectors
 
 
 def check_time(time: object) -> Array:

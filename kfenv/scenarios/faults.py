@@ -7,9 +7,9 @@ in each episode.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import ClassVar, Protocol
+from typing import ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.random import Generator
@@ -26,6 +26,8 @@ Range = tuple[float, float]
 @dataclass
 class Draft:
     """An episode of T instants and m channels before its measurements are drawn.
+
+    That of many episodes has arrays with the episodes in front (but for the time).
 
     Attributes:
         time: (T,) s.
@@ -52,12 +54,25 @@ class Draft:
     @classmethod
     def clean(cls, time: Array, channels: int, **more: object) -> Draft:
         """An episode without faults; measurements of zero and no inputs unless given."""
-        shape, none = (len(time), channels), np.empty((len(time), 0))
+        lead = np.shape(more.get("exact", ()))[:-2]
+        shape, none = (*lead, len(time), channels), np.empty((*lead, len(time), 0))
         given = {
             "exact": np.zeros(shape), "bias": np.zeros(shape), "motion_inputs": none,
             "sensor_inputs": none,
         }  # fmt: skip
         return cls(time, np.ones(shape), np.ones(shape), np.ones(shape, bool), **given | more)
+
+    def episodes(self) -> Iterator[Self]:
+        """Each episode of many in turn, whose arrays are views, to be changed until the next."""
+        arrays = {k: v for k, v in vars(self).items() if isinstance(v, np.ndarray) and k != "time"}
+        for i in range(len(self.exact)):
+            views = {name: array[i] for name, array in arrays.items()}
+            one = object.__new__(type(self))
+            vars(one).update(vars(self), intervals=[], **views)
+            yield one
+            for name, view in views.items():
+                if getattr(one, name) is not view:
+                    arrays[name][i] = getattr(one, name)
 
     def misplace(self, inside: slice, channels: slice, error: Array) -> None:
         """Add errors (t, c) to channels' measurements of a time, and note them as a bias."""
@@ -67,7 +82,7 @@ class Draft:
     def window(self, label: str, start: float, duration: float) -> slice:
         """Label the interval, as far as it lies in the episode, and return its time indices."""
         stop = start + duration
-        inside = slice(*np.searchsorted(self.time, (start, stop)))
+        inside = slice(*self.time.searchsorted((start, stop)))
         if inside.stop > inside.start:
             first, last = max(start, self.time[0]), min(stop, self.time[-1])
             self.intervals.append(FaultInterval(label, float(first), float(last)))
@@ -115,14 +130,15 @@ class Jamming:
         check_start(self)
 
     def apply(self, draft: Draft, rng: Generator) -> None:
-        raised = np.ones((len(draft.time), 1))
+        raised = np.ones(len(draft.time))
         for _ in range(rng.integers(self.bursts[0], self.bursts[1], endpoint=True)):
-            duration = rng.uniform(*self.duration)
+            duration = uniform(rng, self.duration)
             factor = log_uniform(rng, self.factor)
             start = draw_start(self.start, duration, draft, rng)
             burst = draft.window(self.label, start, duration)
             raised[burst] = np.maximum(raised[burst], factor)
-        draft.noise_factor *= raised
+        inside = np.flatnonzero(raised != 1.0)
+        draft.noise_factor[inside] *= raised[inside, None]
 
 
 @dataclass(frozen=True)
@@ -143,7 +159,7 @@ class SignalLoss:
         check_start(self)
 
     def apply(self, draft: Draft, rng: Generator) -> None:
-        duration = rng.uniform(*self.duration)
+        duration = uniform(rng, self.duration)
         start = draw_start(self.start, duration, draft, rng)
         draft.available[draft.window(self.label, start, duration)] = False
 
@@ -293,13 +309,18 @@ def check_start(fault: object) -> None:
         )
 
 
+def uniform(rng: Generator, bounds: Range) -> float:
+    """A number between the bounds: ``rng.uniform``, which takes ten times as long for one."""
+    return bounds[0] + (bounds[1] - bounds[0]) * rng.random()
+
+
 def log_uniform(rng: Generator, bounds: Range) -> float:
     """A number between the bounds, its logarithm uniform."""
-    return float(np.exp(rng.uniform(np.log(bounds[0]), np.log(bounds[1]))))
+    return float(np.exp(uniform(rng, (np.log(bounds[0]), np.log(bounds[1])))))
 
 
 def draw_start(start: float | None, duration: float, draft: Draft, rng: Generator) -> float:
     """The start given, or one at random that leaves room for the duration; draws either way."""
     first, last = draft.time[0], draft.time[-1]
-    drawn = rng.uniform(first, max(last - duration, first))
+    drawn = uniform(rng, (first, max(last - duration, first)))
     return drawn if start is None else start

@@ -178,18 +178,23 @@ class OwnFilter(TrackingScenario):
             raise ValueError(f"mean must hold a number for each of {names}, got {self.mean!r}.")
         return mean
 
-    def episode(self, rng: Generator) -> Recording:
-        """Draw one episode: inputs, truth about the mean, faults, measurement noise."""
-        inputs = self._inputs("inputs", self.motion.inputs, rng)
-        truth = self.trajectory(rng, inputs)
+    def episodes(self, rngs: Sequence[Generator]) -> Recording:
+        """Draw episodes: inputs, truth about the mean, faults, measurement noise."""
+        inputs = self._inputs("inputs", self.motion.inputs, rngs)
+        truth = self.trajectories(rngs, inputs)
         shared = isinstance(self.sensor_inputs, str) and self.sensor_inputs == "inputs"
-        sensed = inputs if shared else self._inputs("sensor_inputs", self.sensor.inputs, rng)
+        sensed = inputs if shared else self._inputs("sensor_inputs", self.sensor.inputs, rngs)
         draft = self.clean(Draft, truth, inputs, sensed)
-        check_angles(self.sensor, draft.exact[None])
-        draft.available[np.arange(len(self.time)) % self.measure_every != 0] = False
-        return self.measured(truth, draft, rng)
+        check_angles(self.sensor, draft.exact)
+        draft.available[:, np.arange(len(self.time)) % self.measure_every != 0] = False
+        return self.measured(truth, draft, rngs)
 
-    def trajectory(self, rng: Generator, inputs: Array | None = None) -> Array:
+    def trajectories(self, rngs: Sequence[Generator], inputs: Array | None = None) -> Array:
+        """Truth (B, T, n), see `_moved`; inputs (B, T, p) of the motion."""
+        inputs = [None] * len(rngs) if inputs is None else inputs
+        return np.stack([self._moved(rng, given) for rng, given in zip(rngs, inputs, strict=True)])
+
+    def _moved(self, rng: Generator, inputs: Array | None) -> Array:
         """Truth (T, n) that moves as the model does, from a start that P allows.
 
         Raises:
@@ -211,12 +216,15 @@ class OwnFilter(TrackingScenario):
         noise = np.broadcast_to(self._noise, draft.exact.shape)
         return noise, noise
 
-    def initial_mean(self, start: Array, rng: Generator) -> Array:
+    def initial_means(self, start: Array, rngs: Sequence[Generator]) -> Array:
         """The mean itself: the truth is drawn about it."""
-        return self._start
+        return np.tile(self._start, (len(rngs), 1))
 
-    def _inputs(self, name: str, wanted: Sequence[str], rng: Generator) -> Array:
-        """Known inputs (T, k) of an episode."""
+    def _inputs(self, name: str, wanted: Sequence[str], rngs: Sequence[Generator]) -> Array:
+        """Known inputs (B, T, k) of episodes."""
+        return np.stack([self._inputs_of_one(name, wanted, rng) for rng in rngs])
+
+    def _inputs_of_one(self, name: str, wanted: Sequence[str], rng: Generator) -> Array:
         given, shape = getattr(self, name), (len(self.time), len(wanted))
         given = given(rng, self.time) if callable(given) else given
         if given is None and not wanted:

@@ -1,4 +1,4 @@
-"""What every scenario shares: arguments and their checks, faults, episodes drawn one by one."""
+"""What every scenario shares: arguments and their checks, faults, episodes drawn together."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from math import prod
 from typing import ClassVar
 
 import numpy as np
@@ -16,22 +17,24 @@ from kfenv.checks import is_number
 from kfenv.models.model import Motion, Sensor
 from kfenv.models.namespaces import batch
 from kfenv.models.yardstick import Yardstick
+from kfenv.scenarios.draws import normal
 from kfenv.scenarios.faults import FAULTS, Draft, Fault, resolve_faults
-from kfenv.scenarios.recording import Recording, Whole, stack
+from kfenv.scenarios.recording import FaultInterval, Recording, Whole, stack
 
 Array = NDArray[np.float64]
 
 MAX_RATE = 100.0  # Hz
 MIN_RATE = 1.0  # Hz: the motion models take steps of up to a second
 MOST_INSTANTS = 1_000_000  # of an episode, which is held whole
+AT_ONCE = 16  # episodes drawn together: more would not stay in a processor's cache
 
 
 @dataclass(frozen=True)
 class TrackingScenario(ABC):
     """A target, the sensor that sees it, and what the filter is told.
 
-    A subclass gives the class variables, `motion`, `sensor`, `trajectory` and
-    `deviations`; `draft` where faults act on more than noise and arrival. A scenario
+    A subclass gives the class variables, `motion`, `sensor`, `trajectories` and
+    `deviations`; `drafts` where faults act on more than noise and arrival. A scenario
     whose instants have no measurement (a filter that predicts more often than it
     updates) clears `Draft.available` there.
 
@@ -138,7 +141,8 @@ class TrackingScenario(ABC):
 
     def sample(self, rngs: Sequence[Generator]) -> Recording:
         """Draw one episode from each generator."""
-        return stack([self.episode(rng) for rng in rngs])
+        parts = range(0, len(rngs), AT_ONCE)
+        return stack([self.episodes(rngs[i : i + AT_ONCE]) for i in parts])
 
     def recorded(self, split: str, episodes: int) -> Recording | None:
         """At most so many episodes of a real log that are kept for a split; None if drawn."""
@@ -161,54 +165,83 @@ class TrackingScenario(ABC):
         return None
 
     def episode(self, rng: Generator) -> Recording:
-        """Draw one episode: truth, faults, measurement noise, initial estimate."""
-        truth = self.trajectory(rng)
-        return self.measured(truth, self.draft(truth, rng), rng)
+        """Draw one episode."""
+        return self.episodes([rng])
 
-    def measured(self, truth: Array, draft: Draft, rng: Generator) -> Recording:
-        """The episode of a truth (T, n) and its clean draft: faults, noise, initial estimate."""
-        self.spoil(draft, rng)
+    def episodes(self, rngs: Sequence[Generator]) -> Recording:
+        """Draw episodes together: truth, faults, measurement noise, initial estimate.
+
+        Each generator is asked for the same numbers in the same order as if it were alone.
+        """
+        truth = self.trajectories(rngs)
+        return self.measured(truth, self.drafts(truth, rngs), rngs)
+
+    def measured(self, truth: Array, draft: Draft, rngs: Sequence[Generator]) -> Recording:
+        """The episodes of truths (B, T, n) and their clean drafts: faults, noise, estimate."""
+        each = zip(draft.episodes(), rngs, strict=True)
+        faults = tuple(self._spoiled(one, rng) for one, rng in each)
         true_noise, told_noise = self.deviations(draft)
         true_noise, told_noise = true_noise * draft.noise_factor, told_noise * draft.told_factor
-        measurement = draft.exact + true_noise * rng.standard_normal(true_noise.shape)
-        circular = list(self.circular)
-        angle = measurement[:, circular]
-        measurement[:, circular] = np.arctan2(np.sin(angle), np.cos(angle))
-        measurement[~draft.available] = np.nan
+        measurement = draft.exact + true_noise * normal(rngs, true_noise.shape[1:])
+        for channel in self.circular:
+            angle = measurement[..., channel]
+            measurement[..., channel] = np.arctan2(np.sin(angle), np.cos(angle))
+        np.copyto(measurement, np.nan, where=~draft.available)
         return Recording(
             time=self.time,
-            measurement=measurement[None],
-            noise=told_noise[None],
-            mean=self.initial_mean(truth[0], rng)[None],
-            factor=self.initial_factor[None],
-            motion_inputs=draft.motion_inputs[None],
-            sensor_inputs=draft.sensor_inputs[None],
-            truth=truth[None],
-            true_noise=true_noise[None],
-            true_bias=draft.bias[None],
-            faults=(tuple(draft.intervals),),
+            measurement=measurement,
+            noise=told_noise,
+            mean=self.initial_means(truth[:, 0], rngs),
+            factor=np.tile(self.initial_factor, (len(truth), 1, 1)),
+            motion_inputs=draft.motion_inputs,
+            sensor_inputs=draft.sensor_inputs,
+            truth=truth,
+            true_noise=true_noise,
+            true_bias=draft.bias,
+            faults=faults,
         )
 
     @abstractmethod
+    def trajectories(self, rngs: Sequence[Generator]) -> Array:
+        """Truth (B, T, n) of an episode from each generator."""
+
     def trajectory(self, rng: Generator) -> Array:
         """Truth (T, n) of one episode."""
+        return self.trajectories([rng])[0]
 
     @abstractmethod
     def deviations(self, draft: Draft) -> tuple[Array, Array]:
-        """True and told standard deviations (T, m) of the noise, before the faults' factors."""
+        """True and told standard deviations (..., T, m) of the noise, faults' factors aside."""
 
-    def draft(self, truth: Array, rng: Generator) -> Draft:
-        """The episode before its faults: exact measurements and, where there are any, inputs."""
+    def drafts(self, truth: Array, rngs: Sequence[Generator]) -> Draft:
+        """The episodes before their faults: exact measurements and, if there are any, inputs.
+
+        Args:
+            truth: (B, T, n).
+            rngs: of the B episodes.
+
+        Returns:
+            The draft of all, whose arrays have the episodes in front.
+        """
         return self.clean(Draft, truth)
 
+    def draft(self, truth: Array, rng: Generator) -> Draft:
+        """One episode before its faults, of the truth (T, n)."""
+        return next(self.drafts(truth[None], [rng]).episodes())
+
+    def _spoiled(self, draft: Draft, rng: Generator) -> tuple[FaultInterval, ...]:
+        """Spoil an episode, and return what happened when."""
+        self.spoil(draft, rng)
+        return tuple(draft.intervals)
+
     def spoil(self, draft: Draft, rng: Generator) -> None:
-        """Apply the faults in turn."""
+        """Apply the faults in turn to one episode."""
         for fault in resolve_faults(self.faults, self.presets, self.known_faults):
             fault.apply(draft, rng)
 
-    def initial_mean(self, start: Array, rng: Generator) -> Array:
-        """The initial estimate (n,), drawn about the truth (n,) at the first instant."""
-        return start + self.initial_deviations * rng.standard_normal(len(start))
+    def initial_means(self, start: Array, rngs: Sequence[Generator]) -> Array:
+        """Initial estimates (B, n), drawn about the truths (B, n) at the first instant."""
+        return start + self.initial_deviations * normal(rngs, start.shape[1:])
 
     def local_frame(self, position: Array) -> tuple[Array, Array]:
         """Where pictures are drawn: p becomes rotation (p - origin), east, north, up.
@@ -227,19 +260,21 @@ class TrackingScenario(ABC):
         self, kind: type[Draft], truth: Array, motion_inputs: Array | None = None,
         sensor_inputs: Array | None = None, **more: object,
     ) -> Draft:  # fmt: skip
-        """A draft of that kind whose exact measurements are the sensor's of the truth (T, n).
+        """A draft of that kind whose exact measurements are the sensor's of the truth.
 
         Args:
             kind: `Draft`, or a class derived from it that takes `more`.
-            truth: (T, n).
-            motion_inputs, sensor_inputs: (T, p), (T, k), where the models take any.
+            truth: (..., T, n).
+            motion_inputs, sensor_inputs: (..., T, p), (..., T, k), where the models take any.
         """
-        none = np.empty((len(self.time), 0))
+        none = np.empty((*truth.shape[:-1], 0))
         motion_inputs = none if motion_inputs is None else motion_inputs
         sensor_inputs = none if sensor_inputs is None else sensor_inputs
-        exact = np.stack(self._measure(tuple(truth.T), tuple(sensor_inputs.T)), axis=-1)
+        instants = prod(truth.shape[:-1])
+        x, s = (tuple(a.reshape(instants, a.shape[-1]).T) for a in (truth, sensor_inputs))
+        exact = np.stack(self._measure(x, s), axis=-1).reshape(*truth.shape[:-1], -1)
         return kind.clean(
-            self.time, exact.shape[1], exact=exact, motion_inputs=motion_inputs,
+            self.time, exact.shape[-1], exact=exact, motion_inputs=motion_inputs,
             sensor_inputs=sensor_inputs, **more,
         )  # fmt: skip
 

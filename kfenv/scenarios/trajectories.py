@@ -2,17 +2,15 @@
 
 A trajectory is an array (T, 9) of axis-major states [x, vx, ax, y, vy, ay, z, vz, az]
 (x east, y north, z up, radar at the origin; SPEC section 1). Three commands fly the
-aircraft: heading rate, climb rate and speed, each constant between smooth edges.
-Velocity and acceleration are closed formulas of the commands; position is the
-integral of velocity, taken on a fixed inner grid so that it does not depend on
-the times asked for.
+aircraft: heading rate, climb rate and speed, each constant between smooth edges
+(`kfenv.scenarios.flight`). Random flights are drawn together, each from its own generator.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
-from math import ceil, floor, radians
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import ceil, radians
 from typing import Literal
 
 import numpy as np
@@ -26,11 +24,12 @@ from kfenv.scenarios.coverage import (
     CHECK_STEP,
     MAX_RANGE,
     MIN_RANGE,
-    Placement,
     check_time,
-    place,
+    places,
     turn,
 )
+from kfenv.scenarios.draws import Draws
+from kfenv.scenarios.flight import INNER_STEP, Commands, Flights
 
 Array = NDArray[np.float64]
 
@@ -51,8 +50,6 @@ PAPER_TURN_EDGE, PAPER_CLIMB_EDGE = 3.0, 8.0  # s
 MIN_ALTITUDE, MAX_ALTITUDE = 150.0, 3_000.0  # m above the radar
 MAX_DURATION = 600.0  # s; a longer flight hardly ever stays in coverage
 MAX_ATTEMPTS = 1_000
-
-INNER_STEP = 0.25  # s; position is then good to 1 mm
 
 
 @dataclass(frozen=True)
@@ -129,13 +126,13 @@ def paper_trajectory(name: Literal["A", "B"], time: ArrayLike) -> Array:
         raise ValueError(f"trajectory {name} begins at 0 s, time at {time[0]:g} s.")
     turns = [(begin, end, (np.radians(rate),)) for begin, end, rate in PAPER_TURNS[name]]
     climbs = [(begin, end, (rate, 0.0)) for begin, end, rate in PAPER_CLIMBS[name]]
-    flight = Flight(
+    flight = Flights(
         turns=_windows(turns, PAPER_TURN_EDGE, base=(0.0,)),
         climbs_and_speeds=_windows(climbs, PAPER_CLIMB_EDGE, base=(0.0, PAPER_SPEED[name])),
-        heading=np.pi / 2,
+        heading=np.array([np.pi / 2]),
     )
-    start = np.array(PAPER_START[name])
-    return _states(flight, _fly(flight, time[-1]), start, time)
+    start = np.array(PAPER_START[name])[:, None]
+    return flight.states(flight.nodes(time[-1]), start, time)[0]
 
 
 def drawn_trajectory(
@@ -168,7 +165,14 @@ def drawn_trajectory(
 
 
 def random_trajectory(rng: Generator, time: ArrayLike, flights: str = "manoeuvring") -> Array:
-    """Return a random flight that stays in the radar's coverage (`kfenv.scenarios.coverage`).
+    """One random flight (T, 9), see `random_trajectories`."""
+    return random_trajectories([rng], time, flights)[0]
+
+
+def random_trajectories(
+    rngs: Sequence[Generator], time: ArrayLike, flights: str = "manoeuvring"
+) -> Array:
+    """Random flights that stay in the radar's coverage (`kfenv.scenarios.coverage`).
 
     Straight legs and turns follow one another, and independently of them level legs, climbs
     and descents with changes of speed. Height stays within 150 to 3000 m. The flight is
@@ -176,14 +180,14 @@ def random_trajectory(rng: Generator, time: ArrayLike, flights: str = "manoeuvri
     redrawn, so long flights are those that turn more, or are slower.
 
     Args:
-        rng: where the flight comes from; the same state gives the same bits.
+        rngs: where the B flights come from; the same state gives the same bits.
         time: (T,) increasing, s. Flights of one duration do not depend on the sampling.
         flights: "manoeuvring" (turns of 2 to 10 deg/s, climbs of 2 to 12 m/s, 35 to
             140 m/s), "smooth" (long legs, turns of up to 1.5 deg/s, climbs of up to
             5 m/s, 60 to 230 m/s), or "gentle" (in between), see `STYLES`.
 
     Returns:
-        States (T, 9) in m, m/s, m/s^2.
+        States (B, T, 9) in m, m/s, m/s^2.
 
     Raises:
         ValueError: if the times are unusable or span more than 600 s, or flights are unknown.
@@ -197,17 +201,15 @@ def random_trajectory(rng: Generator, time: ArrayLike, flights: str = "manoeuvri
             f"a random trajectory lasts at most {MAX_DURATION:g} s, time spans {duration:g} s; "
             "split it into episodes."
         )
+    states, waiting = np.empty((len(rngs), time.size, 9)), np.arange(len(rngs))
     for _ in range(MAX_ATTEMPTS):
-        flight = _random_flight(rng, duration, style)
-        nodes = _fly(flight, duration)
-        start = _random_start(rng, nodes)
-        if start is not None:
-            placement, height = start
-            turned = Flight(
-                flight.turns, flight.climbs_and_speeds, flight.heading + placement.angle
-            )
-            nodes[:, :2] = turn(nodes[:, :2], placement.angle)
-            return _states(turned, nodes, np.append(placement.shift, height), elapsed)
+        fits, flown = _attempt([rngs[i] for i in waiting], duration, style, elapsed)
+        if len(flown) == len(rngs):
+            return flown
+        states[waiting[fits]] = flown
+        waiting = waiting[~fits]
+        if not len(waiting):
+            return states
     raise RuntimeError(
         f"no random flight of {duration:g} s stayed in coverage; ask for a shorter one."
     )
@@ -224,149 +226,65 @@ def style_of(flights: str) -> Style:
     return STYLES[flights]
 
 
-@dataclass(frozen=True)
-class Commands:
-    """C commands that move together between levels along raised-cosine edges.
-
-    Attributes:
-        begin: (K,) when each edge begins, s.
-        edge: (K,) how long it lasts, s; it ends before the next begins.
-        level: (C, K + 1) the values before, between and after the edges.
-    """
-
-    begin: Array
-    edge: Array
-    level: Array
-
-    def evaluate(self, time: Array) -> tuple[Array, Array, Array]:
-        """Return integral (from the first edge on), value and slope, each (C, T)."""
-        # Before the first edge its phase stays 0, which leaves the first level.
-        leg = np.maximum(np.searchsorted(self.begin, time, side="right") - 1, 0)
-        begin, edge, *legs = self._legs.take(leg, axis=1)
-        integral, before, jump = np.reshape(legs, (3, -1, time.size))
-        since = time - begin
-        phase = np.pi * np.clip(since / edge, 0.0, 1.0)
-        sine = np.sin(phase)
-        risen = 0.5 - 0.5 * np.cos(phase)
-        area = np.maximum(since - edge, 0.0) + (0.5 / np.pi) * edge * (phase - sine)
-        return (
-            integral + before * since + jump * area,
-            before + jump * risen,
-            jump * (0.5 * np.pi * sine / edge),
-        )
-
-    @cached_property
-    def _legs(self) -> Array:
-        """Begin and edge; then, per command, integral and value at begin, and jump: (2+3C, K)."""
-        before, jump = self.level[:, :-1], np.diff(self.level)
-        missed = 0.5 * jump * self.edge  # by rising along the edge instead of at its begin
-        gained = self.level[:, 1:-1] * np.diff(self.begin) - missed[:, :-1]
-        integral = np.zeros_like(before)
-        np.cumsum(gained, axis=1, out=integral[:, 1:])
-        return np.vstack([self.begin, self.edge, integral, before, jump])
-
-
-@dataclass(frozen=True)
-class Flight:
-    """An aircraft's commands.
-
-    Attributes:
-        turns: heading rate, rad/s (C = 1).
-        climbs_and_speeds: climb rate and speed along the path, m/s (C = 2).
-        heading: at the time when the first turn's edge begins, rad.
-    """
-
-    turns: Commands
-    climbs_and_speeds: Commands
-    heading: float
-
-    def motion(self, time: Array) -> Array:
-        """Return velocity and acceleration along the axes, (2, 3, T), in m/s and m/s^2."""
-        (heading,), (turn_rate,), _ = self.turns.evaluate(time)
-        _, (climb, speed), (climb_slope, speed_slope) = self.climbs_and_speeds.evaluate(time)
-        heading = heading + self.heading
-        sine, cosine = np.sin(heading), np.cos(heading)
-        ground = np.sqrt(speed * speed - climb * climb)
-        along = (speed * speed_slope - climb * climb_slope) / ground
-        across = ground * turn_rate
-        motion = np.empty((2, 3, time.size))
-        motion[0] = ground * sine, ground * cosine, climb
-        motion[1] = along * sine + across * cosine, along * cosine - across * sine, climb_slope
-        return motion
-
-
-def _fly(flight: Flight, duration: float) -> Array:
-    """Return the nodes: position from zero, velocity and acceleration at 0, 0.25, ... s.
-
-    Returns:
-        (3, 3, N): quantity, axis, node; the last at the duration or just beyond.
-    """
-    time = INNER_STEP * np.arange(floor(duration / INNER_STEP) + 2)
-    nodes = np.zeros((3, 3, time.size))
-    nodes[1:] = flight.motion(time)
-    np.cumsum(
-        _travelled(INNER_STEP, nodes[1:, :, :-1], nodes[1:, :, 1:]), axis=1, out=nodes[0, :, 1:]
-    )
-    return nodes
-
-
-def _travelled(step: Array | float, before: Array, after: Array) -> Array:
-    """Integrate velocity over a step from its ends' velocity and acceleration (2, 3, ...).
-
-    The trapezoid with its end correction, of fourth order.
-    """
-    return step * (0.5 * (before[0] + after[0]) + step / 12.0 * (before[1] - after[1]))
-
-
-def _states(flight: Flight, nodes: Array, start: Array, time: Array) -> Array:
-    """Return the states (T, 9) at the times, in seconds from the first node."""
-    k = (time / INNER_STEP).astype(int)
-    motion = flight.motion(time)
-    node = nodes.take(k, axis=2)
-    states = np.empty((3, 3, time.size))
-    states[0] = node[0] + _travelled(time - INNER_STEP * k, node[1:], motion) + start[:, None]
-    states[1:] = motion
-    return states.transpose(2, 1, 0).reshape(time.size, 9)
-
-
 def _windows(
     windows: list[tuple[float, float, tuple[float, ...]]], edge: float, base: tuple[float, ...]
 ) -> Commands:
     """Make commands that leave their base for (begin, end, added values), edges inside."""
-    begin = np.array([start for low, high, _ in windows for start in (low, high - edge)])
+    begin = np.array([[start for low, high, _ in windows for start in (low, high - edge)]])
     level = np.tile(np.array(base, dtype=float)[:, None], begin.size + 1)
     level[:, 1::2] += np.array([values for _, _, values in windows]).T
-    return Commands(begin, np.full(begin.size, edge), level)
+    return Commands(begin, np.full(begin.shape, edge), level[:, None])
 
 
-def _random_flight(rng: Generator, duration: float, style: Style) -> Flight:
-    begin, edge = _random_legs(rng, duration, style.turn_leg, style.turn_edge)
-    rate = _either_way(rng, style.turn_rate, style.turning, begin.size + 1)
-    turns = Commands(begin, edge, rate[None, :])
+def _attempt(
+    rngs: Sequence[Generator], duration: float, style: Style, time: Array
+) -> tuple[NDArray[np.bool_], Array]:
+    """Draw a flight from each generator: which (B,) stay in coverage, and their states."""
+    flights = _random_flights(rngs, duration, style)
+    nodes = flights.nodes(duration)
+    fits, angle, start = _random_starts(rngs, nodes)
+    if not fits.all():
+        flights, nodes = flights[fits], nodes[:, :, fits]
+    flights = replace(flights, heading=flights.heading + angle)
+    level = np.moveaxis(nodes[:, :2], 2, 0)
+    nodes[:, :2] = np.moveaxis(turn(level, angle[:, None]), 0, 2)
+    return fits, flights.states(nodes, start, time)
 
-    begin, edge = _random_legs(rng, duration, style.climb_leg, style.climb_edge)
-    climb = _either_way(rng, style.climb, style.climbing, begin.size + 1)
-    change = _either_way(rng, (0.0, style.speed_change), style.accelerating, begin.size + 1)
+
+def _random_flights(rngs: Sequence[Generator], duration: float, style: Style) -> Flights:
+    turns, climbs = (_most_legs(duration, leg) for leg in (style.turn_leg, style.climb_leg))
+    draws = Draws(rngs, 2 * turns + 3 * (turns + 1) + 2 * climbs + 6 * (climbs + 1) + 1)
+    edges = _random_legs(draws, turns, style.turn_leg, style.turn_edge)
+    rate = _either_way(draws, style.turn_rate, style.turning, turns + 1)
+    turning = Commands(*edges, rate[None])
+
+    edges = _random_legs(draws, climbs, style.climb_leg, style.climb_edge)
+    climb = _either_way(draws, style.climb, style.climbing, climbs + 1)
+    change = _either_way(draws, (0.0, style.speed_change), style.accelerating, climbs + 1)
     slowest, span = style.speed[0], style.speed[1] - style.speed[0]
-    change[0] = rng.uniform(0.0, span)
-    speed = slowest + _folded(np.cumsum(change), span)
-    return Flight(turns, Commands(begin, edge, np.stack([climb, speed])), heading=0.0)
+    change[:, :1] = draws.uniform(0.0, span, 1)
+    speed = slowest + _folded(np.cumsum(change, axis=1), span)
+    climbing = Commands(*edges, np.stack([climb, speed]))
+    return Flights(turning, climbing, heading=np.zeros(len(rngs)))
+
+
+def _most_legs(duration: float, leg: tuple[float, float]) -> int:
+    return ceil((duration + leg[1]) / leg[0])
 
 
 def _random_legs(
-    rng: Generator, duration: float, leg: tuple[float, float], edge: tuple[float, float]
+    draws: Draws, count: int, leg: tuple[float, float], edge: tuple[float, float]
 ) -> tuple[Array, Array]:
-    """Draw when edges begin and how long they last, from before 0 s to the duration."""
-    count = ceil((duration + leg[1]) / leg[0])
-    begin = np.cumsum(rng.uniform(*leg, count)) - leg[1]
-    return begin, rng.uniform(*edge, count)
+    """Draw when edges (B, count) begin, from before 0 s on, and how long they last."""
+    begin = np.cumsum(draws.uniform(*leg, count), axis=1) - leg[1]
+    return begin, draws.uniform(*edge, count)
 
 
-def _either_way(rng: Generator, size: tuple[float, float], share: float, count: int) -> Array:
-    """Draw values of a size within the pair, of either sign; all but a share are 0."""
-    size = rng.uniform(*size, count)
-    sign = np.where(rng.random(count) < 0.5, -1.0, 1.0)
-    return np.where(rng.random(count) < share, sign * size, 0.0)
+def _either_way(draws: Draws, size: tuple[float, float], share: float, count: int) -> Array:
+    """Draw values (B, count) of a size within the pair, of either sign; all but a share are 0."""
+    size = draws.uniform(*size, count)
+    sign = np.where(draws.uniform(0.0, 1.0, count) < 0.5, -1.0, 1.0)
+    return np.where(draws.uniform(0.0, 1.0, count) < share, sign * size, 0.0)
 
 
 def _folded(values: Array, most: float) -> Array:
@@ -374,15 +292,23 @@ def _folded(values: Array, most: float) -> Array:
     return most - np.abs(values % (2.0 * most) - most)
 
 
-def _random_start(rng: Generator, nodes: Array) -> tuple[Placement, float] | None:
-    """Draw the placement and first height that keep a flight in coverage, if there are any."""
+def _random_starts(
+    rngs: Sequence[Generator], nodes: Array
+) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Draw placements and first heights that keep flights in coverage, if there are any.
+
+    Returns:
+        Whether each flight has one (B,); of those that have, the turn (b,) and start (3, b).
+    """
     every = round(CHECK_STEP / INNER_STEP)
-    path = np.hstack([nodes[0, :, ::every], nodes[0, :, -1:]])
-    low, high = nodes[0].min(axis=1), nodes[0].max(axis=1)
+    path = np.concatenate([nodes[0, ..., ::every], nodes[0, ..., -1:]], axis=-1)
+    low, high = nodes[0].min(axis=-1), nodes[0].max(axis=-1)
     least, most = MIN_ALTITUDE - low[2], MAX_ALTITUDE - high[2]
-    if most < least:
-        return None
-    height = rng.uniform(least, most)
-    path[2] += height
-    placement = place(rng, path, 0.5 * (low + high)[:2], (MIN_RANGE, MAX_RANGE))
-    return None if placement is None else (placement, height)
+    fits = most >= least
+    drawn, path = [rngs[i] for i in np.flatnonzero(fits)], path[:, fits]
+    least, most, middle = least[fits], most[fits], 0.5 * (low + high)[:2, fits]
+    height = Draws(drawn, 1).uniform(least[:, None], most[:, None], 1)[:, 0]
+    path[2] += height[:, None]
+    found, angle, shift = places(drawn, path, middle, (MIN_RANGE, MAX_RANGE))
+    fits[fits] = found
+    return fits, angle[found], np.concatenate([shift, height[None]])[:, found]

@@ -21,6 +21,7 @@ from kfenv.scenarios.faults import (
     check_start,
     draw_start,
     log_uniform,
+    uniform,
 )
 
 Array = NDArray[np.float64]
@@ -66,7 +67,7 @@ class ClockDegradation:
         check_start(self)
 
     def apply(self, draft: GnssDraft, rng: Generator) -> None:
-        duration = rng.uniform(*self.duration)
+        duration = uniform(rng, self.duration)
         deviation = log_uniform(rng, self.range_error) * np.array([1.0, RATE_SHARE])
         inside = draft.window(self.label, draw_start(self.start, duration, draft, rng), duration)
         error = deviation * rng.standard_normal((len(draft.time), 2))
@@ -103,7 +104,7 @@ class RangeStep:
         check_start(self)
 
     def apply(self, draft: GnssDraft, rng: Generator) -> None:
-        duration = rng.uniform(*self.duration)
+        duration = uniform(rng, self.duration)
         size = log_uniform(rng, self.size) * rng.choice((-1.0, 1.0))
         inside = draft.window(self.label, draw_start(self.start, duration, draft, rng), duration)
         victim = _one_satellite(draft, inside, rng)
@@ -133,7 +134,7 @@ class RangeRamp:
         check_start(self)
 
     def apply(self, draft: GnssDraft, rng: Generator) -> None:
-        duration = rng.uniform(*self.duration)
+        duration = uniform(rng, self.duration)
         rate = log_uniform(rng, self.rate) * rng.choice((-1.0, 1.0))
         start = draw_start(self.start, duration, draft, rng)
         inside = draft.window(self.label, start, duration)
@@ -171,7 +172,7 @@ class MultipathBurst:
             )
 
     def apply(self, draft: GnssDraft, rng: Generator) -> None:
-        duration = rng.uniform(*self.duration)
+        duration = uniform(rng, self.duration)
         factor = log_uniform(rng, self.factor)
         inside = draft.window(self.label, draw_start(self.start, duration, draft, rng), duration)
         low = draft.elevation[inside] < np.radians(self.below)

@@ -41,8 +41,16 @@ def assign_channels(visible: NDArray[np.bool_], elevation: Array) -> Indices:
 
 
 def by_channel(values: Array, channel: Indices, idle: float) -> Array:
-    """Values (E, K, ...) of satellites as (E, 12, ...) of channels, `idle` where there is none."""
+    """Satellites' values as those of channels, `idle` where there is none.
+
+    Args:
+        values: (..., K) of satellites, or (..., K, d) with channels (..., 12) alike in front.
+        channel: (..., 12) the satellite in each, or -1.
+        idle: where it is -1.
+    """
     empty = channel < 0
-    chosen = values[np.arange(len(channel))[:, None], np.where(empty, 0, channel)]
+    place = np.where(empty, 0, channel)
+    place = place if values.ndim == channel.ndim else place[..., None]
+    chosen = np.take_along_axis(values, place, axis=channel.ndim - 1)
     chosen[empty] = idle
     return chosen

@@ -27,6 +27,7 @@ from kfenv.models.markov_acceleration import markov_acceleration
 from kfenv.models.model import Motion, Sensor
 from kfenv.models.variable_turn import variable_turn
 from kfenv.scenarios import tracks
+from kfenv.scenarios.draws import normal
 from kfenv.scenarios.faults import Fault, Jamming
 from kfenv.scenarios.gnss.faults import (
     GNSS_FAULTS,
@@ -44,7 +45,7 @@ from kfenv.scenarios.gnss.satellite_channels import assign_channels, by_channel
 from kfenv.scenarios.recording import Recording, Whole
 from kfenv.scenarios.scenario import TrackingScenario
 from kfenv.scenarios.tracks import LONGEST_GAP, SmoothTrack, check_track, from_radar
-from kfenv.scenarios.trajectories import MAX_DURATION, paper_trajectory, random_trajectory
+from kfenv.scenarios.trajectories import MAX_DURATION, paper_trajectory, random_trajectories
 
 Array = NDArray[np.float64]
 
@@ -278,19 +279,20 @@ class GnssTracking(TrackingScenario):
         """The smoothed flight in the track file."""
         return tracks.flight(self.track, self.cutoff, self.longest_gap)
 
-    def trajectory(self, rng: Generator) -> Array:
-        """Truth (T, 11): our trajectory B in the papers' case, the track, or a random flight."""
+    def trajectories(self, rngs: Sequence[Generator]) -> Array:
+        """Truth (B, T, 11): our trajectory B in the papers' case, the track, or random flights."""
         place = self.place
         if self.track is not None:
             flight = self._flight
             place = flight.origin
-            start = flight.random_start(rng, self.duration)
-            local = from_radar(flight, place, start + self.time)
+            starts = [flight.random_start(rng, self.duration) for rng in rngs]
+            local = np.stack([from_radar(flight, place, start + self.time) for start in starts])
         elif self.faults == "paper":
-            local = paper_trajectory("B", self.time)
+            local = np.tile(paper_trajectory("B", self.time), (len(rngs), 1, 1))
         else:
-            local = random_trajectory(rng, self.time)
-        return np.hstack([_earth_fixed(local, place), self._clock(rng)])
+            local = random_trajectories(rngs, self.time)
+        clocks = np.stack([self._clock(rng) for rng in rngs])
+        return np.concatenate([_earth_fixed(local, place), clocks], axis=-1)
 
     def _clock(self, rng: Generator) -> Array:
         """Bias and drift (T, 2) of the receiver's clock: what `with_clock` assumes."""
@@ -303,27 +305,27 @@ class GnssTracking(TrackingScenario):
         bias = np.cumsum(np.append(first[0], noise[:, 0] + dt * drift[:-1]))
         return np.stack([bias, drift], axis=1)
 
-    def draft(self, truth: Array, rng: Generator) -> GnssDraft:
-        """The clean episode: satellites in view, and the delays that the corrections leave."""
+    def drafts(self, truth: Array, rngs: Sequence[Generator]) -> GnssDraft:
+        """The clean episodes: satellites in view, and the delays that the corrections leave."""
         measured = slice(None, None, self.steps_per_measurement)
-        time = self._first_instant(rng) + self.time[measured]
-        receiver = truth[measured, list(self.motion.position)]
+        time = np.stack([self._first_instant(rng) + self.time[measured] for rng in rngs])
+        receiver = truth[:, measured, list(self.motion.position)]
         position, velocity = self._constellation.seen_from(receiver, time)
         elevation, azimuth = look_angles(receiver, position)
-        channel = assign_channels(elevation > np.radians(self.mask), elevation)
-        delay = self._delay(receiver, elevation, azimuth, time, rng)
-        steps = len(self.time)
-        satellite = np.full((steps, CHANNELS), -1)
-        satellite[measured] = channel
-        seen_at = np.full((steps, CHANNELS), UNSEEN)
-        seen_at[measured] = by_channel(elevation, channel, UNSEEN)
-        inputs = np.zeros((steps, 6 * CHANNELS))
+        visible = elevation > np.radians(self.mask)
+        channel = np.stack(list(map(assign_channels, visible, elevation)))
+        delay = self._delay(receiver, elevation, azimuth, time, rngs)
+        shape = (*truth.shape[:2], CHANNELS)
+        satellite, seen_at = np.full(shape, -1), np.full(shape, UNSEEN)
+        satellite[:, measured] = channel
+        seen_at[:, measured] = by_channel(elevation, channel, UNSEEN)
+        inputs = np.zeros((*truth.shape[:2], 6 * CHANNELS))
         states = by_channel(np.concatenate([position, velocity], axis=-1), channel, 0.0)
-        inputs[measured] = states.reshape(len(time), -1)
+        inputs[:, measured] = states.reshape(*time.shape, -1)
         draft = self.clean(
             GnssDraft, truth, sensor_inputs=inputs, satellite=satellite, elevation=seen_at
         )
-        draft.exact[measured, :CHANNELS] += by_channel(delay, channel, 0.0)
+        draft.exact[:, measured, :CHANNELS] += by_channel(delay, channel, 0.0)
         draft.available &= np.tile(satellite >= 0, 2)
         return draft
 
@@ -337,30 +339,31 @@ class GnssTracking(TrackingScenario):
         return gps_seconds(_parsed(self.date)) + drawn
 
     def _delay(
-        self, receiver: Array, elevation: Array, azimuth: Array, time: Array, rng: Generator
-    ) -> Array:
-        """What is left (E, K) of troposphere and ionosphere once the standard ones are taken off.
+        self, receiver: Array, elevation: Array, azimuth: Array, time: Array,
+        rngs: Sequence[Generator],
+    ) -> Array:  # fmt: skip
+        """What is left (B, E, K) of the atmosphere once the standard delays are taken off.
 
         The wet delay of the truth walks away from the standard one. The standard delay is
         that of the receiver's true place: that of an estimate 10 m off in height differs by
         15 mm at 10 deg of elevation.
         """
-        latitude, longitude, height = (value[:, None] for value in geodetic(receiver))
+        latitude, longitude, height = (value[..., None] for value in geodetic(receiver))
         above = np.maximum(elevation, np.radians(3.0))  # lower ones are not used
         path = above, latitude, height, _parsed(self.date).timetuple().tm_yday
-        walk = np.sqrt(WET_DENSITY / self.measurement_rate) * rng.standard_normal(len(time))
-        delay = troposphere(*path, WET_DELAY + np.cumsum(walk)[:, None])
+        walk = np.sqrt(WET_DENSITY / self.measurement_rate) * normal(rngs, time.shape[1:])
+        delay = troposphere(*path, WET_DELAY + np.cumsum(walk, axis=1)[..., None])
         delay -= (1.0 - self.troposphere) * troposphere(*path)
         if self.ionosphere:
             delay += self.ionosphere * klobuchar(
-                ALPHA, BETA, latitude, longitude, above, azimuth, time[:, None]
+                ALPHA, BETA, latitude, longitude, above, azimuth, time[..., None]
             )
         return delay
 
     def deviations(self, draft: GnssDraft) -> tuple[Array, Array]:
         """Code noise, multipath and troposphere by elevation, and the rates' constant."""
         ranges = range_deviation(draft.elevation)
-        both = np.hstack([ranges, np.full_like(ranges, RATE_NOISE)])
+        both = np.concatenate([ranges, np.full_like(ranges, RATE_NOISE)], axis=-1)
         return both, both
 
     def local_frame(self, position: Array) -> tuple[Array, Array]:
@@ -370,11 +373,11 @@ class GnssTracking(TrackingScenario):
 
 
 def _earth_fixed(local: Array, place: tuple[float, float, float]) -> Array:
-    """States (T, 9) of an east-north-up frame at a place, in the earth-fixed frame."""
+    """States (..., T, 9) of an east-north-up frame at a place, in the earth-fixed frame."""
     rotation = np.array(pymap3d.enu2uvw(*np.eye(3), place[0], place[1]))
     turned = np.einsum("ij,tjd->tid", rotation, local.reshape(-1, 3, 3))
     turned[:, :, 0] += pymap3d.geodetic2ecef(*place)
-    return turned.reshape(-1, 9)
+    return turned.reshape(local.shape)
 
 
 def _is_day(date: str) -> bool:

@@ -22,6 +22,7 @@ from kfenv.scenarios.faults import (
     check_start,
     draw_start,
     log_uniform,
+    uniform,
 )
 
 Array = NDArray[np.float64]
@@ -100,8 +101,8 @@ class Interference:
     def apply(self, draft: Draft, rng: Generator) -> None:
         raised = np.ones_like(draft.noise_factor)
         for _ in range(rng.integers(self.bursts[0], self.bursts[1], endpoint=True)):
-            duration = rng.uniform(*self.duration)
-            share, factor = rng.uniform(*self.share), log_uniform(rng, self.factor)
+            duration = uniform(rng, self.duration)
+            share, factor = uniform(rng, self.share), log_uniform(rng, self.factor)
             start = draw_start(None, duration, draft, rng)
             whole = rng.random() < 0.5 if self.by == "either" else self.by == "vector"
             hit = draw_hits(rng, draft, share, "vector" if whole else "channel")
@@ -148,7 +149,7 @@ class InertialStep:
 
     def apply(self, draft: Draft, rng: Generator) -> None:
         present = rng.random() < self.probability
-        size, duration = rng.uniform(*self.size), rng.uniform(*self.duration)
+        size, duration = uniform(rng, self.size), uniform(rng, self.duration)
         start = draw_start(self.start, duration, draft, rng)
         axis, sign = rng.integers(3), rng.choice([-1.0, 1.0])
         if not present:

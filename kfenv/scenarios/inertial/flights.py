@@ -8,13 +8,15 @@ that a unit without errors reproduces the flight to rounding (SPEC 7.1 E6).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
 from kfenv.models.rotations import exponential, logarithm, matrix_from_angles
 from kfenv.models.strapdown import GRAVITY
-from kfenv.scenarios.trajectories import random_trajectory
+from kfenv.scenarios.trajectories import random_trajectories
 
 Array = NDArray[np.float64]
 
@@ -53,53 +55,54 @@ def paper_flight(time: Array) -> Array:
     return _flight(time, np.array(PAPER_START), np.stack(velocity, axis=1), angles)
 
 
-def random_flight(rng: Generator, time: Array) -> Array:
-    """A random flight: turns, climbs and changes of speed of `random_trajectory`, begun at 0, 0.
+def random_flights(rngs: Sequence[Generator], time: Array) -> Array:
+    """Random flights (B, T, 9), begun at 0, 0: those of `random_trajectories`, turned and banked.
 
     Turns are coordinated (the wings' lift stands in the plane of symmetry), without
     sideslip, the nose 3 deg above the path.
 
     Args:
-        rng: where the flight comes from; the same state gives the same bits.
+        rngs: where the flights come from; the same state gives the same bits.
         time: (T,) s.
     """
-    states = random_trajectory(rng, time)
+    states = random_trajectories(rngs, time)
     axes = ([3, 0, 6], [4, 1, 7], [5, 2, 8])
     sign = np.array([1.0, 1.0, -1.0])
-    _, velocity, acceleration = (states[:, index] * sign for index in axes)
-    start = np.array([0.0, 0.0, -states[0, 6]])
+    _, velocity, acceleration = (states[..., index] * sign for index in axes)
+    start = states[:, :1, 6:7] * [0.0, 0.0, -1.0]
     return _flight(time, start, velocity, _coordinated(velocity, acceleration))
 
 
 def exact_samples(truth: Array, time: Array) -> Array:
-    """The inertial samples (T, 6) that carry each state of a flight (T, 9) to the next.
+    """The inertial samples (..., T, 6) that carry each state of a flight (..., T, 9) to the next.
 
     Row t belongs to the step from t - 1 to t; row 0, which drives none, repeats row 1.
     """
     dt = np.diff(time)[:, None]
-    C = matrix_from_angles(truth[:, 6:])
-    turned = logarithm(C[:-1].transpose(0, 2, 1) @ C[1:])
-    middle = C[:-1] @ exponential(0.5 * turned)
-    pull = np.diff(truth[:, 3:6], axis=0) / dt - np.array([0.0, 0.0, GRAVITY])
-    force = np.einsum("tji,tj->ti", middle, pull)
-    samples = np.hstack([force, turned / dt])
-    return np.vstack([samples[:1], samples])
+    C = matrix_from_angles(truth[..., 6:])
+    before, after = C[..., :-1, :, :], C[..., 1:, :, :]
+    turned = logarithm(before.swapaxes(-1, -2) @ after)
+    middle = before @ exponential(0.5 * turned)
+    pull = np.diff(truth[..., 3:6], axis=-2) / dt - np.array([0.0, 0.0, GRAVITY])
+    force = np.einsum("...ji,...j->...i", middle, pull)
+    samples = np.concatenate([force, turned / dt], axis=-1)
+    return np.concatenate([samples[..., :1, :], samples], axis=-2)
 
 
 def _coordinated(velocity: Array, acceleration: Array) -> Array:
-    """Roll, pitch and yaw (T, 3) of a flight without sideslip."""
-    north, east, down = velocity.T
+    """Roll, pitch and yaw (..., T, 3) of flights without sideslip."""
+    north, east, down = np.moveaxis(velocity, -1, 0)
     ground_squared = north**2 + east**2
     yaw = np.arctan2(east, north)
     pitch = np.arctan2(-down, np.sqrt(ground_squared)) + ANGLE_OF_ATTACK
-    across = (north * acceleration[:, 1] - east * acceleration[:, 0]) / np.sqrt(ground_squared)
-    return np.stack([np.arctan2(across, GRAVITY - acceleration[:, 2]), pitch, yaw], axis=1)
+    across = (north * acceleration[..., 1] - east * acceleration[..., 0]) / np.sqrt(ground_squared)
+    return np.stack([np.arctan2(across, GRAVITY - acceleration[..., 2]), pitch, yaw], axis=-1)
 
 
 def _flight(time: Array, start: Array, velocity: Array, angles: Array) -> Array:
-    step = 0.5 * np.diff(time)[:, None] * (velocity[1:] + velocity[:-1])
-    position = start + np.vstack([np.zeros(3), np.cumsum(step, axis=0)])
-    return np.hstack([position, velocity, angles])
+    step = 0.5 * np.diff(time)[:, None] * (velocity[..., 1:, :] + velocity[..., :-1, :])
+    travelled = np.concatenate([np.zeros_like(step[..., :1, :]), np.cumsum(step, axis=-2)], axis=-2)
+    return np.concatenate([start + travelled, velocity, angles], axis=-1)
 
 
 def _wrapped(angle: Array) -> Array:

@@ -41,7 +41,7 @@ from kfenv.scenarios.inertial.faults import (
     Outliers,
     RateStep,
 )
-from kfenv.scenarios.inertial.flights import exact_samples, paper_flight, random_flight
+from kfenv.scenarios.inertial.flights import exact_samples, paper_flight, random_flights
 from kfenv.scenarios.inertial.log import InertialLog
 from kfenv.scenarios.inertial.motion import motion_of
 from kfenv.scenarios.inertial.reading import check_paths, read_log
@@ -283,12 +283,13 @@ class InsGnss(TrackingScenario):
         fault = SignalLoss(duration=(self.outage, self.outage), start=lead)
         return stack([self._replay(i, np.random.default_rng(i), (fault,)) for i in starts])
 
-    def episode(self, rng: Generator) -> Recording:
-        """Draw one episode, or a window of the log's part for training."""
+    def episodes(self, rngs: Sequence[Generator]) -> Recording:
+        """Draw episodes, or windows of the log's part for training."""
         if self.log is None:
-            return super().episode(rng)
+            return super().episodes(rngs)
         faults = self.presets["outages"] if self._misses_fixes else None
-        return self._replay(rng.choice(self._log.starts(self.duration, "tuning")), rng, faults)
+        starts = self._log.starts(self.duration, "tuning")
+        return stack([self._replay(rng.choice(starts), rng, faults) for rng in rngs])
 
     def whole(self, after: float | None = None) -> Whole | None:
         """All of a log from the first fix after which the vehicle moved; it begins once."""
@@ -347,25 +348,29 @@ class InsGnss(TrackingScenario):
             faults=(tuple(draft.intervals),),
         )
 
-    def trajectory(self, rng: Generator) -> Array:
-        """The flight of the paper's case, or a random one: truth (T, 9); (T, 15) with biases."""
-        flight = (
-            paper_flight(self.time) if self.faults == "paper" else random_flight(rng, self.time)
-        )
+    def trajectories(self, rngs: Sequence[Generator]) -> Array:
+        """Flights of the paper's case, or random ones: truth (B, T, 9); (B, T, 15) with biases."""
+        if self.faults == "paper":
+            flights = np.tile(paper_flight(self.time), (len(rngs), 1, 1))
+        else:
+            flights = random_flights(rngs, self.time)
         if not self.biases:
-            return flight
-        return np.hstack([flight, self._constant(rng) + self._wandering(rng)])
+            return flights
+        biases = np.stack([self._constant(rng) + self._wandering(rng) for rng in rngs])
+        return np.concatenate([flights, biases], axis=-1)
 
-    def draft(self, truth: Array, rng: Generator) -> Draft:
+    def drafts(self, truth: Array, rngs: Sequence[Generator]) -> Draft:
         """Inertial samples with the unit's errors, and a fix every so many of them."""
-        samples = exact_samples(truth[:, :9], self.time)
-        samples = samples + (self._white(rng) + truth[:, 9:] if self.biases
-                             else self.inertial_errors(rng))  # fmt: skip
+        samples = exact_samples(truth[..., :9], self.time)
+        errors = self._white if self.biases else self.inertial_errors
+        drawn = np.stack([errors(rng) for rng in rngs])
+        samples = samples + (drawn + truth[..., 9:] if self.biases else drawn)
         if self.biases:
-            samples = np.hstack([samples, np.tile([GRAVITY, 0.0, 0.0], (len(samples), 1))])
+            gravity = np.tile([GRAVITY, 0.0, 0.0], (*samples.shape[:-1], 1))
+            samples = np.concatenate([samples, gravity], axis=-1)
         draft = self.clean(Draft, truth, samples)
         draft.available[:] = False
-        draft.available[:: self.steps_per_measurement] = True
+        draft.available[:, :: self.steps_per_measurement] = True
         return draft
 
     def deviations(self, draft: Draft) -> tuple[Array, Array]:

@@ -68,15 +68,16 @@ class BistaticTracking(Plotted):
         """x, y and z."""
         return position()
 
-    def trajectory(self, rng: Generator) -> Array:
+    def trajectories(self, rngs: Sequence[Generator]) -> Array:
         """From rest at the origin, driven by the model's own discrete noise."""
-        return drawn_trajectory(rng, self.motion, np.zeros(9), self.time)
+        start = np.zeros(9)
+        return np.stack([drawn_trajectory(rng, self.motion, start, self.time) for rng in rngs])
 
     def deviations(self, draft: Draft) -> tuple[Array, Array]:
         """The same at every time, and told as it is."""
         noise = np.broadcast_to(np.sqrt(VARIANCE), draft.exact.shape)
         return noise, noise
 
-    def initial_mean(self, start: Array, rng: Generator) -> Array:
+    def initial_means(self, start: Array, rngs: Sequence[Generator]) -> Array:
         """Drawn about the truth, but the truth itself in the published case."""
-        return start if self.faults == "paper" else super().initial_mean(start, rng)
+        return start if self.faults == "paper" else super().initial_means(start, rngs)

@@ -18,7 +18,7 @@ from kfenv.models.model import Sensor
 from kfenv.models.phased_array import PhasedArray, rain_transmission
 from kfenv.models.radar import radar
 from kfenv.scenarios import tracks
-from kfenv.scenarios.faults import Draft, Range, check_range, check_start
+from kfenv.scenarios.faults import Draft, Range, check_range, check_start, uniform
 from kfenv.scenarios.radar.plotted import PlotFiles, Plotted
 from kfenv.scenarios.tracks import LONGEST_GAP, check_track
 from kfenv.scenarios.trajectories import paper_trajectory
@@ -56,7 +56,7 @@ class Rain:
         check_range(self, "rate", lowest=0)
 
     def apply(self, draft: RadarDraft, rng: Generator) -> None:
-        transmission = rain_transmission(draft.exact[:, 0], rng.uniform(*self.rate))
+        transmission = rain_transmission(draft.exact[:, 0], uniform(rng, self.rate))
         draft.snr *= transmission
         draft.told_snr *= transmission
         draft.throughout(self.label)
@@ -151,11 +151,11 @@ class RadarScenario(Plotted):
             return None
         return np.stack(pymap3d.enu2geodetic(*position.T, *self.radar_position), axis=-1)
 
-    def trajectory(self, rng: Generator) -> Array:
-        """Truth (T, 9) of one episode."""
+    def trajectories(self, rngs: Sequence[Generator]) -> Array:
+        """Truth (B, T, 9): trajectory A, or windows of the track."""
         if self.track is None:
-            return paper_trajectory("A", self.time)
-        return self._flown(rng)
+            return np.tile(paper_trajectory("A", self.time), (len(rngs), 1, 1))
+        return np.stack([self._flown(rng) for rng in rngs])
 
     def _flown(self, rng: Generator) -> Array:
         """A window of the track."""
@@ -167,12 +167,16 @@ class RadarScenario(Plotted):
 
     @abstractmethod
     def noise(self, draft: RadarDraft, snr: Array) -> Array:
-        """Standard deviations (T, 3) at a given signal to noise, before the faults' factors."""
+        """Standard deviations (..., T, 3) at an S/N (..., T), before the faults' factors."""
 
     def deviations(self, draft: RadarDraft) -> tuple[Array, Array]:
         """From the S/N that is and the one the filter is told."""
-        return self.noise(draft, draft.snr), self.noise(draft, draft.told_snr)
+        actual = self.noise(draft, draft.snr)
+        if np.array_equal(draft.snr, draft.told_snr):
+            return actual, actual
+        return actual, self.noise(draft, draft.told_snr)
 
-    def draft(self, truth: Array, rng: Generator) -> RadarDraft:
-        """The clean episode."""
-        return self.clean(RadarDraft, truth)
+    def drafts(self, truth: Array, rngs: Sequence[Generator]) -> RadarDraft:
+        """The clean episodes."""
+        nothing = np.ones(truth.shape[:-1])
+        return self.clean(RadarDraft, truth, snr=nothing, told_snr=nothing)

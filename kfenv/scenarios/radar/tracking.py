@@ -19,7 +19,7 @@ from kfenv.scenarios.radar.scenario import RadarDraft, RadarScenario, Rain, Self
 from kfenv.scenarios.trajectories import (
     MAX_DURATION,
     paper_trajectory,
-    random_trajectory,
+    random_trajectories,
     style_of,
 )
 
@@ -77,26 +77,26 @@ class RadarTracking(RadarScenario):
         """Variable turn, white jerk of 1 m^2/s^5."""
         return variable_turn(1.0)
 
-    def trajectory(self, rng: Generator) -> Array:
-        """Trajectory B in the paper's case, the given track, or a random flight."""
+    def trajectories(self, rngs: Sequence[Generator]) -> Array:
+        """Trajectory B in the paper's case, the given track, or random flights."""
         if self.track is not None:
-            return super().trajectory(rng)
+            return super().trajectories(rngs)
         if self.faults == "paper":
-            return paper_trajectory("B", self.time)
-        return random_trajectory(rng, self.time, self.flights)
+            return np.tile(paper_trajectory("B", self.time), (len(rngs), 1, 1))
+        return random_trajectories(rngs, self.time, self.flights)
 
-    def draft(self, truth: Array, rng: Generator) -> RadarDraft:
-        """The clean episode: S/N from the radar equation, nothing beyond the scan limit."""
-        draft = super().draft(truth, rng)
-        distance, azimuth, elevation = draft.exact.T
+    def drafts(self, truth: Array, rngs: Sequence[Generator]) -> RadarDraft:
+        """The clean episodes: S/N from the radar equation, nothing beyond the scan limit."""
+        draft = super().drafts(truth, rngs)
+        distance, azimuth, elevation = np.moveaxis(draft.exact, -1, 0)
         draft.array = self.radar
         draft.snr = self.radar.signal_to_noise(distance, azimuth, elevation)
         draft.told_snr = draft.snr.copy()
-        draft.available &= self.radar.detects(azimuth, elevation)[:, None]
+        draft.available &= self.radar.detects(azimuth, elevation)[..., None]
         return draft
 
     def noise(self, draft: RadarDraft, snr: Array) -> Array:
         """From the integrated S/N."""
         # beyond the limit nothing arrives: any finite value will do
-        azimuth, elevation = self.radar.within_scan(*draft.exact[:, 1:].T)
+        azimuth, elevation = self.radar.within_scan(*np.moveaxis(draft.exact[..., 1:], -1, 0))
         return self.radar.noise(self.radar.integrated(snr), azimuth, elevation)

@@ -92,4 +92,4 @@ class RadarValidation(RadarScenario):
         """The same at every time."""
         distance, azimuth, elevation = self.deviation_at_boundary
         deviation = (distance, radians(azimuth), radians(elevation))
-        return np.broadcast_to(deviation, (len(self.time), 3))
+        return np.broadcast_to(deviation, draft.exact.shape)
