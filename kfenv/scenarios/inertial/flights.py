@@ -55,6 +55,11 @@ def paper_flight(time: Array) -> Array:
     return _flight(time, np.array(PAPER_START), np.stack(velocity, axis=1), angles)
 
 
+def random_flight(rng: Generator, time: Array) -> Array:
+    """One random flight (T, 9), see `random_flights`."""
+    return random_flights([rng], time)[0]
+
+
 def random_flights(rngs: Sequence[Generator], time: Array) -> Array:
     """Random flights (B, T, 9), begun at 0, 0: those of `random_trajectories`, turned and banked.
 
