@@ -9,11 +9,15 @@ from __future__ import annotations
 
 import math
 import operator
+from itertools import product
 
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.datamodel import PrimitiveModel
+from numba.core.imputils import lower_builtin
+from numba.core.typing.templates import AbstractTemplate, infer_global
+from numba.core.typing.templates import signature as typing_signature
 from numba.extending import intrinsic, overload, register_model
 
 LANES = 8
@@ -38,62 +42,14 @@ class _LanesModel(PrimitiveModel):
         super().__init__(manager, frontend_type, _VECTOR)
 
 
-def _arithmetic(instruction: str):
-    @intrinsic
-    def operation(context, a, b):
-        def generate(context, builder, signature, arguments):
-            return getattr(builder, instruction)(*arguments, flags=_FLAGS)
-
-        return lanes_type(lanes_type, lanes_type), generate
-
-    return operation
-
-
-def _function(name: str, arity: int):
-    def generate(context, builder, signature, arguments):
-        kind = ir.FunctionType(_VECTOR, [_VECTOR] * arity)
-        function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v8f64")
-        return builder.call(function, arguments)
-
-    if arity == 1:
-        return intrinsic(lambda context, a: (lanes_type(lanes_type), generate))
-    return intrinsic(lambda context, a, b: (lanes_type(lanes_type, lanes_type), generate))
-
-
-_sqrt, _floor, _fabs = (_function(name, 1) for name in ("sqrt", "floor", "fabs"))
-_exp, _log = (_function(name, 1) for name in ("exp", "log"))  # lane by lane
-_copysign = _function("copysign", 2)
-
-
-@intrinsic
-def _negative(context, a):
-    def generate(context, builder, signature, arguments):
-        return builder.fneg(arguments[0])
-
-    return lanes_type(lanes_type), generate
-
-
 @intrinsic
 def spread(context, number):
     """The same float in all lanes."""
 
     def generate(context, builder, signature, arguments):
-        undefined = ir.Constant(_VECTOR, ir.Undefined)
-        first = ir.Constant(ir.IntType(32), 0)
-        vector = builder.insert_element(undefined, arguments[0], first)
-        places = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
-        return builder.shuffle_vector(vector, undefined, places)
+        return _spread(builder, arguments[0])
 
     return lanes_type(types.float64), generate
-
-
-@intrinsic
-def _select_greater(context, a, b, x, y):
-    def generate(context, builder, signature, arguments):
-        a, b, x, y = arguments
-        return builder.select(builder.fcmp_ordered(">", a, b), x, y)
-
-    return lanes_type(*(lanes_type,) * 4), generate
 
 
 def _address(context, builder, signature, arguments):
@@ -132,25 +88,64 @@ def _is_number(kind) -> bool:
     return isinstance(kind, types.Float | types.Integer)
 
 
-def _teach(symbol, instruction: str) -> None:
-    """Let an operator take lanes and numbers in either order."""
-    operation = _arithmetic(instruction)
+def _teach(symbol, arity: int, build) -> None:
+    """Let an operator or function take lanes and numbers in any order, at least one of them lanes.
 
-    @overload(symbol, jit_options=_INLINE)
-    def implementation(a, b):
-        if isinstance(a, LanesType) and isinstance(b, LanesType):
-            return lambda a, b: operation(a, b)
-        if isinstance(a, LanesType) and _is_number(b):
-            return lambda a, b: operation(a, spread(float(b)))
-        if isinstance(b, LanesType) and _is_number(a):
-            return lambda a, b: operation(spread(float(a)), b)
-        return None
+    Numba compiles every overload as a function, which takes time; this is one instruction.
+    """
+
+    class Lanewise(AbstractTemplate):
+        key = symbol
+
+        def generic(self, kinds, keywords):
+            if len(kinds) != arity or not _is_lanes(*kinds):
+                return None
+            if not all(_is_lanes(kind) or _is_number(kind) for kind in kinds):
+                return None
+            given = (lanes_type if _is_lanes(kind) else types.float64 for kind in kinds)
+            return typing_signature(lanes_type, *given)
+
+    infer_global(symbol)(Lanewise)
+
+    def generate(context, builder, signature, arguments):
+        vectors = (
+            value if _is_lanes(kind) else _spread(builder, value)
+            for kind, value in zip(signature.args, arguments, strict=True)
+        )
+        return build(builder, *vectors)
+
+    for kinds in product((LanesType, types.Float), repeat=arity):
+        if LanesType in kinds:
+            lower_builtin(symbol, *kinds)(generate)
 
 
-_teach(operator.add, "fadd")
-_teach(operator.sub, "fsub")
-_teach(operator.mul, "fmul")
-_teach(operator.truediv, "fdiv")
+def _spread(builder, number):
+    undefined = ir.Constant(_VECTOR, ir.Undefined)
+    first = ir.Constant(ir.IntType(32), 0)
+    vector = builder.insert_element(undefined, number, first)
+    places = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+    return builder.shuffle_vector(vector, undefined, places)
+
+
+def _instruction(name: str):
+    return lambda builder, a, b: getattr(builder, name)(a, b, flags=_FLAGS)
+
+
+def _intrinsic(name: str):
+    def call(builder, *vectors):
+        kind = ir.FunctionType(_VECTOR, [_VECTOR] * len(vectors))
+        function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v8f64")
+        return builder.call(function, vectors)
+
+    return call
+
+
+_teach(operator.add, 2, _instruction("fadd"))
+_teach(operator.sub, 2, _instruction("fsub"))
+_teach(operator.mul, 2, _instruction("fmul"))
+_teach(operator.truediv, 2, _instruction("fdiv"))
+_teach(operator.neg, 1, lambda builder, a: builder.fneg(a))
+_teach(abs, 1, _intrinsic("fabs"))
 
 
 @overload(operator.pow, jit_options=_INLINE)
@@ -168,24 +163,17 @@ def _overload_pow(a, b):
     return power
 
 
-@overload(operator.neg, jit_options=_INLINE)
-def _overload_neg(a):
-    return (lambda a: _negative(a)) if _is_lanes(a) else None
-
-
-@overload(abs, jit_options=_INLINE)
-def _overload_abs(a):
-    return (lambda a: _fabs(a)) if _is_lanes(a) else None
-
-
 def lift(a):
     """A number in all lanes; lanes as they are."""
     return a
 
 
+_teach(lift, 1, lambda builder, a: a)
+
+
 @overload(lift, jit_options=_INLINE)
 def _overload_lift(a):
-    return (lambda a: a) if _is_lanes(a) else (lambda a: spread(float(a)))
+    return None if _is_lanes(a) else (lambda a: spread(float(a)))
 
 
 def where_greater(a, b, x, y):
@@ -193,11 +181,15 @@ def where_greater(a, b, x, y):
     return x if a > b else y
 
 
+_teach(
+    where_greater, 4,
+    lambda builder, a, b, x, y: builder.select(builder.fcmp_ordered(">", a, b), x, y),
+)  # fmt: skip
+
+
 @overload(where_greater, jit_options=_INLINE)
 def _overload_where_greater(a, b, x, y):
-    if _is_lanes(a, b, x, y):
-        return lambda a, b, x, y: _select_greater(lift(a), lift(b), lift(x), lift(y))
-    return lambda a, b, x, y: x if a > b else y
+    return None if _is_lanes(a, b, x, y) else (lambda a, b, x, y: x if a > b else y)
 
 
 def sqrt(a):
@@ -205,9 +197,12 @@ def sqrt(a):
     return math.sqrt(a)
 
 
+_teach(sqrt, 1, _intrinsic("sqrt"))
+
+
 @overload(sqrt, jit_options=_INLINE)
 def _overload_sqrt(a):
-    return (lambda a: _sqrt(a)) if _is_lanes(a) else (lambda a: math.sqrt(a))
+    return None if _is_lanes(a) else (lambda a: math.sqrt(a))
 
 
 def exp(a):
@@ -215,9 +210,12 @@ def exp(a):
     return math.exp(a)
 
 
+_teach(exp, 1, _intrinsic("exp"))  # lane by lane
+
+
 @overload(exp, jit_options=_INLINE)
 def _overload_exp(a):
-    return (lambda a: _exp(a)) if _is_lanes(a) else (lambda a: math.exp(a))
+    return None if _is_lanes(a) else (lambda a: math.exp(a))
 
 
 def log(a):
@@ -225,9 +223,12 @@ def log(a):
     return math.log(a)
 
 
+_teach(log, 1, _intrinsic("log"))  # lane by lane
+
+
 @overload(log, jit_options=_INLINE)
 def _overload_log(a):
-    return (lambda a: _log(a)) if _is_lanes(a) else (lambda a: math.log(a))
+    return None if _is_lanes(a) else (lambda a: math.log(a))
 
 
 def floor(a):
@@ -235,9 +236,12 @@ def floor(a):
     return float(math.floor(a))
 
 
+_teach(floor, 1, _intrinsic("floor"))
+
+
 @overload(floor, jit_options=_INLINE)
 def _overload_floor(a):
-    return (lambda a: _floor(a)) if _is_lanes(a) else (lambda a: float(math.floor(a)))
+    return None if _is_lanes(a) else (lambda a: float(math.floor(a)))
 
 
 def copysign(a, b):
@@ -245,8 +249,9 @@ def copysign(a, b):
     return math.copysign(a, b)
 
 
+_teach(copysign, 2, _intrinsic("copysign"))
+
+
 @overload(copysign, jit_options=_INLINE)
 def _overload_copysign(a, b):
-    if _is_lanes(a, b):
-        return lambda a, b: _copysign(lift(a), lift(b))
-    return lambda a, b: math.copysign(a, b)
+    return None if _is_lanes(a, b) else (lambda a, b: math.copysign(a, b))
