@@ -145,6 +145,19 @@ def geodetic(position: Array) -> tuple[Array, Array, Array]:
     return latitude, longitude, height
 
 
+def earth_fixed(states: Array, place: tuple[float, float, float]) -> Array:
+    """States of an east-north-up frame in the earth-fixed one.
+
+    Args:
+        states: (..., 9) of `kfenv.models.kinematics`, SI.
+        place: latitude and longitude (deg) and height (m) of the frame's origin.
+    """
+    rotation = np.array(pymap3d.enu2uvw(*np.eye(3), place[0], place[1]))
+    turned = np.einsum("ij,tjd->tid", rotation, states.reshape(-1, 3, 3))
+    turned[:, :, 0] += pymap3d.geodetic2ecef(*place)
+    return turned.reshape(states.shape)
+
+
 def gps_seconds(date: datetime) -> float:
     """GPS time of a date, itself in GPS time (one without a time zone counts as such)."""
     if date.tzinfo is None:

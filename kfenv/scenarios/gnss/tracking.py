@@ -20,7 +20,14 @@ from kfenv.models.constant_acceleration import constant_acceleration
 from kfenv.models.gnss.almanac import baseline_constellation, read_yuma
 from kfenv.models.gnss.atmosphere import WET_DELAY, WET_DENSITY, klobuchar, troposphere
 from kfenv.models.gnss.clock import with_clock
-from kfenv.models.gnss.orbits import GPS_EPOCH, Constellation, geodetic, gps_seconds, look_angles
+from kfenv.models.gnss.orbits import (
+    GPS_EPOCH,
+    Constellation,
+    earth_fixed,
+    geodetic,
+    gps_seconds,
+    look_angles,
+)
 from kfenv.models.gnss.pseudorange import CHANNELS, pseudoranges
 from kfenv.models.gnss.receiver import CLOCK_OFFSET, RATE_NOISE, range_deviation
 from kfenv.models.markov_acceleration import markov_acceleration
@@ -283,16 +290,15 @@ class GnssTracking(TrackingScenario):
         """Truth (B, T, 11): our trajectory B in the papers' case, the track, or random flights."""
         place = self.place
         if self.track is not None:
-            flight = self._flight
-            place = flight.origin
-            starts = [flight.random_start(rng, self.duration) for rng in rngs]
+            flight, place = self._flight, self._flight.origin
+            starts = (flight.random_start(rng, self.duration) for rng in rngs)
             local = np.stack([from_radar(flight, place, start + self.time) for start in starts])
         elif self.faults == "paper":
             local = np.tile(paper_trajectory("B", self.time), (len(rngs), 1, 1))
         else:
             local = random_trajectories(rngs, self.time)
         clocks = np.stack([self._clock(rng) for rng in rngs])
-        return np.concatenate([_earth_fixed(local, place), clocks], axis=-1)
+        return np.concatenate([earth_fixed(local, place), clocks], axis=-1)
 
     def _clock(self, rng: Generator) -> Array:
         """Bias and drift (T, 2) of the receiver's clock: what `with_clock` assumes."""
@@ -315,16 +321,15 @@ class GnssTracking(TrackingScenario):
         visible = elevation > np.radians(self.mask)
         channel = np.stack(list(map(assign_channels, visible, elevation)))
         delay = self._delay(receiver, elevation, azimuth, time, rngs)
-        shape = (*truth.shape[:2], CHANNELS)
-        satellite, seen_at = np.full(shape, -1), np.full(shape, UNSEEN)
+        satellite = np.full((*truth.shape[:2], CHANNELS), -1)
+        seen_at = np.full(satellite.shape, UNSEEN)
         satellite[:, measured] = channel
         seen_at[:, measured] = by_channel(elevation, channel, UNSEEN)
         inputs = np.zeros((*truth.shape[:2], 6 * CHANNELS))
         states = by_channel(np.concatenate([position, velocity], axis=-1), channel, 0.0)
         inputs[:, measured] = states.reshape(*time.shape, -1)
-        draft = self.clean(
-            GnssDraft, truth, sensor_inputs=inputs, satellite=satellite, elevation=seen_at
-        )
+        told = {"sensor_inputs": inputs, "satellite": satellite, "elevation": seen_at}
+        draft = self.clean(GnssDraft, truth, **told)
         draft.exact[:, measured, :CHANNELS] += by_channel(delay, channel, 0.0)
         draft.available &= np.tile(satellite >= 0, 2)
         return draft
@@ -370,14 +375,6 @@ class GnssTracking(TrackingScenario):
         """Origin (3,) and rotation (3, 3) from earth-fixed to east, north, up about a position."""
         latitude, longitude, _ = geodetic(position)
         return position, np.array(pymap3d.uvw2enu(*np.eye(3), latitude, longitude, deg=False))
-
-
-def _earth_fixed(local: Array, place: tuple[float, float, float]) -> Array:
-    """States (..., T, 9) of an east-north-up frame at a place, in the earth-fixed frame."""
-    rotation = np.array(pymap3d.enu2uvw(*np.eye(3), place[0], place[1]))
-    turned = np.einsum("ij,tjd->tid", rotation, local.reshape(-1, 3, 3))
-    turned[:, :, 0] += pymap3d.geodetic2ecef(*place)
-    return turned.reshape(local.shape)
 
 
 def _is_day(date: str) -> bool:
