@@ -29,6 +29,9 @@ def compile_kernels(env_id: str) -> None:
     env.step(env.action_space.sample() * 0.0)
 
 
+LONG = ("test_notebooks.py", "test_tuned_filter.py", "test_determinism.py", "test_reproduction.py")
+
+
 def pytest_collection_modifyitems(items):
     """The longest files first, so that no worker is left alone with one at the end."""
-    items.sort(key=lambda item: item.path.name not in ("test_notebooks.py", "test_tuned_filter.py"))
+    items.sort(key=lambda item: item.path.name not in LONG)

@@ -14,7 +14,7 @@ from numpy.random import default_rng
 
 from kfenv.filters.results import Run
 
-CASES = {"engine": 15, "designs": 50, "banks": 100, "environments": 80}
+CASES = {"engine": 15, "designs": 50, "banks": 50, "environments": 60}
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -17,15 +17,6 @@ OK, BAD_PREDICTION, BAD_INNOVATION, BAD_UPDATE = 0, 1, 2, 3
 
 
 @njit(cache=True, **INNER)
-def anything_arrived(count):
-    """Whether any lane has a measurement: filters may predict more often than they update."""
-    for lane in range(LANES):
-        if count[0, lane] > 0.5:
-            return True
-    return False
-
-
-@njit(cache=True, **INNER)
 def gather(source, first, target):
     """Lane l of the target takes row first + l of the source (B, K); the last row fills up."""
     last = source.shape[0] - 1
@@ -57,7 +48,10 @@ def scatter_factor(source, first, status, target, n):
 
 @njit(cache=True, **INNER)
 def gather_measurement(measurement, noise, first, w):
-    """Mark what arrived; what did not gets a harmless value and unit noise."""
+    """Mark what arrived; what did not gets a harmless value and unit noise.
+
+    Returns how many channels any lane heard, whose numbers `order` then has in its first lane.
+    """
     last = measurement.shape[0] - 1
     for lane in range(LANES):
         b = min(first + lane, last)
@@ -68,6 +62,14 @@ def gather_measurement(measurement, noise, first, w):
             w.sd[c, lane] = noise[b, c] if here else 1.0
             w.arrived[c, lane] = 1.0 if here else 0.0
             w.count[0, lane] += w.arrived[c, lane]
+    heard = 0
+    for c in range(measurement.shape[1]):
+        for lane in range(LANES):
+            if w.arrived[c, lane] > 0.5:
+                w.order[heard, 0] = c
+                heard += 1
+                break
+    return heard
 
 
 @njit(cache=True, **INNER)
@@ -84,14 +86,19 @@ def is_finite(mean, factor, lane):
 
 
 @njit(cache=True, **INNER)
-def assess(whitened, C, arrived, lane):
-    """Normalised innovation squared and log-likelihood; NaN and 0 if nothing arrived."""
-    m = arrived.shape[0]
+def assess(w, skips, heard, lane):
+    """Normalised innovation squared and log-likelihood; NaN and 0 if nothing arrived.
+
+    C has a row for each channel, or, if it skips, for each that was heard.
+    """
+    m = w.arrived.shape[0]
     squared, log_likelihood, count = 0.0, 0.0, 0.0
-    for c in range(m):
-        if arrived[c, lane] > 0.5:
-            squared += whitened[c, lane] * whitened[c, lane]
-            log_likelihood -= log(C[c * m + c, lane]) + 0.5 * log(TWO_PI)
+    for r in range(heard):
+        c = int(w.order[r, 0])
+        if w.arrived[c, lane] > 0.5:
+            row = r if skips else c
+            squared += w.whitened[c, lane] * w.whitened[c, lane]
+            log_likelihood -= log(w.C[row * m + row, lane]) + 0.5 * log(TWO_PI)
             count += 1.0
     if count == 0.0:
         return nan, 0.0

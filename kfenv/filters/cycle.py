@@ -11,7 +11,8 @@ There is one filter per lane of a vector. Scratch matrices are arrays (rows * co
 depend on its neighbours. ``w`` is the engine's `Scratch`; its arrays are overwritten from one
 step to the next. A missing channel keeps its row with zero slope, unit noise and zero
 innovation, and since the noise stands first in the rows that are triangularised, it changes
-no bit of the others.
+no bit of the others. So where there are many, one that no lane heard has no row at all, and
+the bits are the same.
 """
 
 from numba import njit
@@ -54,36 +55,43 @@ def _triangularise(A, L, rows, width):
 
 
 @njit(**INNER)
-def _add_noise(root, root_scale, noise, noise_scale, L, A):
-    """L := lower factor of root_scale^2 root root^T + noise_scale^2 noise noise^T.
+def _append(L, A, rows, stride, first, width):
+    """L := lower factor of L L^T + A A^T, diagonal >= 0, of a lower L; destroys A (Householder).
 
-    Both are lower triangular, so a reflection touches one column of the root.
+    A reflection touches one column of L, and of A what row i has: first + i entries, or `width`.
     """
-    for i in range(N):
-        for j in range(i + 1):
-            store(L, i * N + j, root_scale * load(root, i * N + j))
-            store(A, i * N + j, noise_scale * load(noise, i * N + j))
-    for i in range(N):
-        pivot = load(L, i * N + i)
+    for i in range(rows):
+        end = min(first + i, width)
+        pivot = load(L, i * stride + i)
         squared = pivot * pivot
-        for j in range(i + 1):
-            value = load(A, i * N + j)
+        for j in range(end):
+            value = load(A, i * width + j)
             squared = squared + value * value
         norm = sqrt(squared)
         sign = where_greater(0.0, pivot, -1.0, 1.0)
         head = pivot + sign * norm
         scale = norm * (norm + abs(pivot))
         scale = where_greater(scale, 0.0, 1.0 / scale, 0.0)
-        store(L, i * N + i, norm)
-        for k in range(i + 1, N):
-            projection = load(L, k * N + i) * head
-            for j in range(i + 1):
-                projection = projection + load(A, k * N + j) * load(A, i * N + j)
+        store(L, i * stride + i, norm)
+        for k in range(i + 1, rows):
+            projection = load(L, k * stride + i) * head
+            for j in range(end):
+                projection = projection + load(A, k * width + j) * load(A, i * width + j)
             projection = projection * scale
-            for j in range(i + 1):
-                value = load(A, k * N + j) - projection * load(A, i * N + j)
-                store(A, k * N + j, value)
-            store(L, k * N + i, -sign * (load(L, k * N + i) - projection * head))
+            for j in range(end):
+                value = load(A, k * width + j) - projection * load(A, i * width + j)
+                store(A, k * width + j, value)
+            store(L, k * stride + i, -sign * (load(L, k * stride + i) - projection * head))
+
+
+@njit(**INNER)
+def _add_noise(root, root_scale, noise, noise_scale, L, A):
+    """L := lower factor of root_scale^2 root root^T + noise_scale^2 noise noise^T."""
+    for i in range(N):
+        for j in range(i + 1):
+            store(L, i * N + j, root_scale * load(root, i * N + j))
+            store(A, i * N + j, noise_scale * load(noise, i * N + j))
+    _append(L, A, _plain(N), _plain(N), _plain(1), _plain(N))
 
 
 @njit(**INNER)
@@ -143,14 +151,24 @@ def _predict_lanes(mean, factor, u, dt, new_mean, root, noise, X):
 
 
 @njit(**INNER)
-def _innovate_lanes(w):
-    """Innovation, its variance and whitened form; fills U, Re and C (SPEC section 9)."""
-    inputs = sensor_components(w.s)
+def _channel(w, r):
+    """The channel that row r of U, Re, C and K stands for."""
+    return int(w.order[r, 0]) if SKIPS else r
+
+
+@njit(**INNER)
+def _innovate_lanes(w, heard):
+    """Innovation, its variance and whitened form; fills U, Re and C (SPEC section 9).
+
+    With many channels they have a row for each that any lane heard, see `_channel`.
+    """
+    inputs, rows = sensor_components(w.s), heard if SKIPS else M
     _draw(w.predicted, w.L, w.X)
     for j in range(P):
         store_channels(w.Z, j, measure(state_components(w.X, j), inputs))
-    width = M + N + 1
-    for c in range(M):
+    width = N + 1
+    for r in range(rows):
+        c = _channel(w, r)
         row, here = c * P, load(w.arrived, c)
         centre = load(w.Z, row)
         offset = _mean_offset(w.Z, row, CHANNEL_IS_ANGLE[c])
@@ -158,71 +176,71 @@ def _innovate_lanes(w):
         if CHANNEL_IS_ANGLE[c]:
             nu = wrap(nu)
         store(w.innovation, c, where_greater(here, 0.5, nu, 0.0))
-        for j in range(M):
-            store(w.A, c * width + j, spread(0.0))
-        store(w.A, c * width + c, load(w.sd, c))
+        for q in range(r):
+            store(w.Re, r * M + q, spread(0.0))
+        store(w.Re, r * M + r, load(w.sd, c))
         for j in range(N):
             plus, minus = load(w.Z, row + 1 + j), load(w.Z, row + 1 + N + j)
             slope, bend = ODD * (plus - minus), EVEN * (plus + minus - 2.0 * offset)
-            store(w.U, c * N + j, where_greater(here, 0.5, slope, 0.0))
-            store(w.A, c * width + M + j, where_greater(here, 0.5, bend, 0.0))
+            store(w.U, r * N + j, where_greater(here, 0.5, slope, 0.0))
+            store(w.A, r * width + j, where_greater(here, 0.5, bend, 0.0))
         centred = where_greater(here, 0.5, -ROOT_CENTRE_WEIGHT * offset, 0.0)
-        store(w.A, c * width + M + N, centred)
-    _triangularise(w.A, w.Re, _plain(M), width)
-    width = M + N
-    for c in range(M):
-        for q in range(M):
-            store(w.A, c * width + q, load(w.Re, c * M + q) if q <= c else spread(0.0))
+        store(w.A, r * width + N, centred)
+    _append(w.Re, w.A, _plain(rows), _plain(M), width, width)
+    for r in range(rows):
+        for q in range(r + 1):
+            store(w.C, r * M + q, load(w.Re, r * M + q))
         for j in range(N):
-            store(w.A, c * width + M + j, load(w.U, c * N + j))
-    _triangularise(w.A, w.C, _plain(M), width)
-    for c in range(M):
+            store(w.A, r * N + j, load(w.U, r * N + j))
+    _append(w.C, w.A, _plain(rows), _plain(M), _plain(N), _plain(N))
+    for r in range(rows):
+        c = _channel(w, r)
         residual = load(w.innovation, c)
-        diagonal = load(w.C, c * M + c)
+        diagonal = load(w.C, r * M + r)
         total = diagonal * diagonal
-        for q in range(c):
-            entry = load(w.C, c * M + q)
-            residual = residual - entry * load(w.whitened, q)
+        for q in range(r):
+            entry = load(w.C, r * M + q)
+            residual = residual - entry * load(w.whitened, _channel(w, q))
             total = total + entry * entry
         store(w.whitened, c, residual / diagonal)
         store(w.variance, c, total)
 
 
 @njit(**INNER)
-def _correct_lanes(w):
+def _correct_lanes(w, heard):
     """K = S U^T C^-T C^-1 and S+ = tria[S - K U, K Re]; K is held one row a channel."""
-    count = load(w.count, 0)
-    for c in range(M):
-        inverse = 1.0 / load(w.C, c * M + c)
+    count, rows = load(w.count, 0), heard if SKIPS else M
+    for r in range(rows):
+        inverse = 1.0 / load(w.C, r * M + r)
         for i in range(N):
             value = spread(0.0)
             for k in range(i + 1):
-                value = value + load(w.L, i * N + k) * load(w.U, c * N + k)
-            for q in range(c):
-                value = value - load(w.C, c * M + q) * load(w.K, q * N + i)
-            store(w.K, c * N + i, value * inverse)
-    for c in range(M - 1, -1, -1):
-        inverse = 1.0 / load(w.C, c * M + c)
+                value = value + load(w.L, i * N + k) * load(w.U, r * N + k)
+            for q in range(r):
+                value = value - load(w.C, r * M + q) * load(w.K, q * N + i)
+            store(w.K, r * N + i, value * inverse)
+    for r in range(rows - 1, -1, -1):
+        inverse = 1.0 / load(w.C, r * M + r)
         for i in range(N):
-            value = load(w.K, c * N + i)
-            for q in range(c + 1, M):
-                value = value - load(w.C, q * M + c) * load(w.K, q * N + i)
-            store(w.K, c * N + i, value * inverse)
-    width = N + M
+            value = load(w.K, r * N + i)
+            for q in range(r + 1, rows):
+                value = value - load(w.C, q * M + r) * load(w.K, q * N + i)
+            store(w.K, r * N + i, value * inverse)
+    width = N + rows
     for i in range(N):
         value = load(w.predicted, i)
         for j in range(N):
             entry = load(w.L, i * N + j) if j <= i else spread(0.0)
-            for c in range(M):
-                entry = entry - load(w.K, c * N + i) * load(w.U, c * N + j)
+            for r in range(rows):
+                entry = entry - load(w.K, r * N + i) * load(w.U, r * N + j)
             store(w.A, i * width + j, entry)
-        for q in range(M):
+        for q in range(rows):
             entry = spread(0.0)
-            for c in range(q, M):
-                entry = entry + load(w.K, c * N + i) * load(w.Re, c * M + q)
+            for r in range(q, rows):
+                entry = entry + load(w.K, r * N + i) * load(w.Re, r * M + q)
             store(w.A, i * width + N + q, entry)
-        for c in range(M):
-            value = value + load(w.K, c * N + i) * load(w.innovation, c)
+        for r in range(rows):
+            value = value + load(w.K, r * N + i) * load(w.innovation, _channel(w, r))
         if STATE_IS_ANGLE[i]:
             value = wrap(value)
         store(w.posterior, i, where_greater(count, 0.5, value, load(w.predicted, i)))

@@ -24,6 +24,7 @@ from kfenv.models.namespaces.lanes import LANES
 
 Array = NDArray[np.float64]
 Status = NDArray[np.int64]
+FEW = 9  # of so many channels each has a row, heard or not: loops of known length are faster
 CYCLE, KERNEL = (Path(__file__).with_name(name) for name in ("cycle.py", "kernel.py"))
 
 
@@ -46,6 +47,7 @@ class Scratch(NamedTuple):
     sd: Array
     arrived: Array  # 1 for a channel that arrived, otherwise 0
     count: Array
+    order: Array  # numbers of the channels that any lane heard
     innovation: Array
     variance: Array
     whitened: Array
@@ -148,8 +150,8 @@ def _scratch_sizes(n: int, m: int, p: int, k: int) -> Scratch:
     points = 2 * n + 1
     return Scratch(
         posterior=n, predicted=n, S=n * n, L=n * n, Q=n * n, u=p, s=k, dt=1, scales=2,
-        z=m, sd=m, arrived=m, count=1, innovation=m, variance=m, whitened=m,
-        X=n * points, Z=m * points, A=max(n * (n + m), m * (m + n + 1)),
+        z=m, sd=m, arrived=m, count=1, order=m, innovation=m, variance=m, whitened=m,
+        X=n * points, Z=m * points, A=max(n * (n + m), m * (n + 1)),
         U=m * n, Re=m * m, C=m * m, K=m * n,
     )  # fmt: skip
 
@@ -192,6 +194,7 @@ def _kernel(motion: Motion, sensor: Sensor, kappa: float) -> ModuleType:
         "STATE_IS_ANGLE": tuple(state.angle for state in motion.states),
         "CHANNEL_IS_ANGLE": tuple(channel.angle for channel in sensor.channels),
         "NOISE_PATTERN": motion.noise_pattern,
+        "SKIPS": m > FEW,
     }
     # Numba asks the kernel's file alone whether it changed, so the cycle's is part of the name.
     parts = [Path(part) for part in (compiled.__file__, lanes.__file__, CYCLE)]

@@ -11,7 +11,6 @@ from kfenv.filters.batch_and_lanes import (
     BAD_UPDATE,
     LARGEST,
     OK,
-    anything_arrived,
     assess,
     gather,
     gather_measurement,
@@ -56,14 +55,13 @@ def update(mean, root, noise, scales, s, measurement, deviation, scratch, correc
         gather(noise, first, w.Q)
         gather(scales, first, w.scales)
         gather(s, first, w.s)
-        gather_measurement(measurement, deviation, first, w)
+        heard = gather_measurement(measurement, deviation, first, w)
         _add_noise(w.S, load(w.scales, 0), w.Q, load(w.scales, 1), w.L, w.A)
-        heard = anything_arrived(w.count)
         if heard:
-            _innovate_lanes(w)
+            _innovate_lanes(w, heard)
         if correct:
             if heard:
-                _correct_lanes(w)
+                _correct_lanes(w, heard)
             else:
                 _keep_lanes(w)
             scatter(w.posterior, first, status, new_mean)
@@ -79,7 +77,7 @@ def update(mean, root, noise, scales, s, measurement, deviation, scratch, correc
             if status[b] != OK:
                 continue
             mark_missing(w.arrived, lane, b, innovation, variance, whitened)
-            nis[b], log_likelihood[b] = assess(w.whitened, w.C, w.arrived, lane)
+            nis[b], log_likelihood[b] = assess(w, SKIPS, heard, lane)
             if w.count[0, lane] > 0.5 and not abs(nis[b]) <= LARGEST:
                 status[b] = BAD_INNOVATION
             elif correct and not is_finite(w.posterior, w.S, lane):
@@ -116,18 +114,18 @@ def run(mean, factor, dt, u, s, measurement, deviation, scales, scratch, means, 
             for k in range(N * N):
                 store(w.S, k, load(w.L, k))
             gather(s[:, t], first, w.s)
-            gather_measurement(measurement[:, t], deviation[:, t], first, w)
+            heard = gather_measurement(measurement[:, t], deviation[:, t], first, w)
             _add_noise(w.S, load(w.scales, 0), w.Q, load(w.scales, 1), w.L, w.A)
-            if anything_arrived(w.count):
-                _innovate_lanes(w)
-                _correct_lanes(w)
+            if heard:
+                _innovate_lanes(w, heard)
+                _correct_lanes(w, heard)
             else:
                 _keep_lanes(w)
             for lane in range(lanes):
                 b = first + lane
                 if status[b] != OK:
                     continue
-                nis[b, t] = assess(w.whitened, w.C, w.arrived, lane)[0]
+                nis[b, t] = assess(w, SKIPS, heard, lane)[0]
                 if w.count[0, lane] > 0.5 and not abs(nis[b, t]) <= LARGEST:
                     status[b], failed_at[b] = BAD_INNOVATION, t
                 elif not is_finite(w.posterior, w.S, lane):
