@@ -8,15 +8,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from math import floor
-from typing import NamedTuple
+from math import cos, floor, pi, sin, sqrt
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
+
+import kfenv.kernel_cache  # noqa: F401  (processes take turns at it)
 
 Array = NDArray[np.float64]
 
 INNER_STEP = 0.25  # s; position is then good to 1 mm
+COMPILED = {"cache": True, "error_model": "numpy"}
 
 
 @dataclass(frozen=True)
@@ -33,21 +36,8 @@ class Commands:
     edge: Array
     level: Array
 
-    def at(self, time: Array) -> Legs:
-        """The commands at each of the times (T,)."""
-        # Before the first edge its phase stays 0, which leaves the first level.
-        first = np.searchsorted(time, self.begin)
-        first[:, 0] = 0
-        instants = np.diff(first, append=time.size).ravel()
-        legs = np.repeat(self._legs.reshape(len(self._legs), -1), instants, axis=1)
-        begin, edge, *more = legs.reshape(len(legs), len(self.begin), time.size)
-        integral, before, jump = np.reshape(more, (3, len(self.level), *begin.shape))
-        since = time - begin
-        phase = np.pi * np.clip(since / edge, 0.0, 1.0)
-        return Legs(since, edge, phase, *_sine_and_cosine(phase), integral, before, jump)
-
     @cached_property
-    def _legs(self) -> Array:
+    def legs(self) -> Array:
         """Begin and edge; per command integral and value at begin, and jump: (2 + 3C, B, K)."""
         before, jump = self.level[..., :-1], np.diff(self.level)
         missed = 0.5 * jump * self.edge  # by rising along the edge instead of at its begin
@@ -55,39 +45,6 @@ class Commands:
         integral = np.zeros_like(before)
         np.cumsum(gained, axis=-1, out=integral[..., 1:])
         return np.concatenate([self.begin[None], self.edge[None], integral, before, jump])
-
-
-class Legs(NamedTuple):
-    """Commands at instants.
-
-    Attributes:
-        since, edge: (B, T) time since the last edge began, and how long it lasts, s.
-        phase, sine, cosine: (B, T) of the edge, from 0 to pi.
-        before_edge, before, jump: (C, B, T) integral and value at its begin, and rise along it.
-    """
-
-    since: Array
-    edge: Array
-    phase: Array
-    sine: Array
-    cosine: Array
-    before_edge: Array
-    before: Array
-    jump: Array
-
-    def integral(self) -> Array:
-        """From the first edge on, (C, B, T)."""
-        half = (0.5 / np.pi) * self.edge * (self.phase - self.sine)
-        area = np.maximum(self.since - self.edge, 0.0) + half
-        return self.before_edge + self.before * self.since + self.jump * area
-
-    def value(self) -> Array:
-        """(C, B, T)."""
-        return self.before + self.jump * (0.5 - 0.5 * self.cosine)
-
-    def slope(self) -> Array:
-        """(C, B, T) per second."""
-        return self.jump * (0.5 * np.pi * self.sine / self.edge)
 
 
 @dataclass(frozen=True)
@@ -114,25 +71,8 @@ class Flights:
 
     def motion(self, time: Array) -> Array:
         """Velocity and acceleration along the axes, (2, 3, B, T), in m/s and m/s^2."""
-        turns, climbs_and_speeds = self.turns.at(time), self.climbs_and_speeds.at(time)
-        (climb, speed), (climb_slope, speed_slope) = (
-            climbs_and_speeds.value(), climbs_and_speeds.slope()
-        )  # fmt: skip
-        heading = turns.integral()[0] + self.heading[:, None]
-        sine, cosine = np.sin(heading), np.cos(heading)
-        ground = np.sqrt(speed * speed - climb * climb)
-        along = (speed * speed_slope - climb * climb_slope) / ground
-        across = ground * turns.value()[0]
-        motion = np.empty((2, 3, *heading.shape))
-        for to, given in zip(
-            motion.reshape(6, *heading.shape),
-            (
-                ground * sine, ground * cosine, climb,
-                along * sine + across * cosine, along * cosine - across * sine, climb_slope,
-            ),
-            strict=True,
-        ):  # fmt: skip
-            to[:] = given
+        motion = np.empty((2, 3, len(self.heading), time.size))
+        _fly(self.turns.legs, self.climbs_and_speeds.legs, self.heading, time, motion)
         return motion
 
     def nodes(self, duration: float) -> Array:
@@ -157,24 +97,10 @@ class Flights:
             start: (3, B) position at the first node, m.
             time: (T,) s.
         """
-        k = (time / INNER_STEP).astype(int)
         motion = self.motion(time)
-        node = nodes.take(k, axis=-1)
-        travelled = _travelled(time - INNER_STEP * k, node[1:], motion)
-        states = np.empty((*motion.shape[2:], 3, 3))  # aircraft, instant, axis, quantity
-        states[..., 0] = np.moveaxis(node[0] + travelled + start[..., None], 0, -1)
-        states[..., 1:] = np.moveaxis(motion, (0, 1), (-1, -2))
-        return states.reshape(*states.shape[:2], 9)
-
-
-def _sine_and_cosine(phase: Array) -> tuple[Array, Array]:
-    """Of phases from 0 to pi, most of which are at an end."""
-    ended = phase > 0.0
-    sine, cosine = np.where(ended, np.sin(np.pi), 0.0), np.where(ended, -1.0, 1.0)
-    rises = np.flatnonzero(ended & (phase < np.pi))
-    rising = phase.ravel()[rises]
-    sine.ravel()[rises], cosine.ravel()[rises] = np.sin(rising), np.cos(rising)
-    return sine, cosine
+        states = np.empty((*motion.shape[2:], 9))
+        _move(nodes, motion, np.ascontiguousarray(start), time, states)
+        return states
 
 
 def _travelled(step: Array | float, before: Array, after: Array) -> Array:
@@ -183,3 +109,60 @@ def _travelled(step: Array | float, before: Array, after: Array) -> Array:
     The trapezoid with its end correction, of fourth order.
     """
     return step * (0.5 * (before[0] + after[0]) + step / 12.0 * (before[1] - after[1]))
+
+
+@njit(**COMPILED)
+def _move(nodes, motion, start, time, states):
+    """Write the states (B, T, 9), see `Flights.states`: position as by `_travelled`."""
+    for b in range(states.shape[0]):
+        for t in range(time.size):
+            k = int(time[t] / INNER_STEP)
+            step = time[t] - INNER_STEP * k
+            for axis in range(3):
+                velocity, acceleration = motion[0, axis, b, t], motion[1, axis, b, t]
+                mean = 0.5 * (nodes[1, axis, b, k] + velocity)
+                bend = step / 12.0 * (nodes[2, axis, b, k] - acceleration)
+                position = nodes[0, axis, b, k] + step * (mean + bend) + start[axis, b]
+                states[b, t, 3 * axis] = position
+                states[b, t, 3 * axis + 1] = velocity
+                states[b, t, 3 * axis + 2] = acceleration
+
+
+@njit(**COMPILED)
+def _fly(turns, climbs, heading, time, motion):
+    """Write velocity and acceleration (2, 3, B, T), see `Flights.motion`."""
+    for b in range(heading.size):
+        i = j = 0
+        for t in range(time.size):
+            while i + 1 < turns.shape[2] and turns[0, b, i + 1] <= time[t]:
+                i += 1
+            while j + 1 < climbs.shape[2] and climbs[0, b, j + 1] <= time[t]:
+                j += 1
+            since, edge, phase, sine, cosine = _along(turns, b, i, time[t])
+            level = since - edge if since > edge else 0.0
+            area = level + 0.5 / pi * edge * (phase - sine)
+            angle = turns[2, b, i] + turns[3, b, i] * since + turns[4, b, i] * area + heading[b]
+            rate = turns[3, b, i] + turns[4, b, i] * (0.5 - 0.5 * cosine)
+            since, edge, phase, sine, cosine = _along(climbs, b, j, time[t])
+            risen, rise = 0.5 - 0.5 * cosine, 0.5 * pi * sine / edge
+            climb = climbs[4, b, j] + climbs[6, b, j] * risen
+            speed = climbs[5, b, j] + climbs[7, b, j] * risen
+            climb_slope, speed_slope = climbs[6, b, j] * rise, climbs[7, b, j] * rise
+            ground = sqrt(speed * speed - climb * climb)
+            along = (speed * speed_slope - climb * climb_slope) / ground
+            across = ground * rate
+            sine, cosine = sin(angle), cos(angle)
+            motion[0, 0, b, t], motion[0, 1, b, t] = ground * sine, ground * cosine
+            motion[1, 0, b, t] = along * sine + across * cosine
+            motion[1, 1, b, t] = along * cosine - across * sine
+            motion[0, 2, b, t], motion[1, 2, b, t] = climb, climb_slope
+
+
+@njit(**COMPILED)
+def _along(legs, b, leg, now):
+    """Time since an edge began, its length, and its phase (0 to pi) with sine and cosine."""
+    since, edge = now - legs[0, b, leg], legs[1, b, leg]
+    if since <= 0.0:  # before the first edge, which leaves the first level
+        return since, edge, 0.0, 0.0, 1.0
+    phase = pi * (since / edge) if since < edge else pi
+    return since, edge, phase, sin(phase), cos(phase)

@@ -191,6 +191,8 @@ def stack(recordings: Sequence[Recording]) -> Recording:
     if not recordings:
         raise ValueError("stack needs at least one Recording.")
     first = recordings[0]
+    if len(recordings) == 1:
+        return first
     if any(not np.array_equal(first.time, other.time) for other in recordings[1:]):
         raise ValueError("Recordings with different times cannot be stacked.")
     joined = {}
