@@ -45,7 +45,7 @@ def test_two_signatures_of_a_function_saved_at_once_stay_apart(tmp_path):
 def test_kernels_can_be_kept_on_this_machine(tmp_path):
     say = (
         "from kfenv.kernel_cache import keep_on_this_machine, local_folder; keep_on_this_machine();"
-        "from kfenv.envs.statistics import score; print(score.stats.cache_path)"
+        "from kfenv.envs.scoring import score; print(score.stats.cache_path)"
     )
     run = [sys.executable, "-c", say]
     told = subprocess.run(run, env={"TMPDIR": str(tmp_path)}, capture_output=True, text=True)

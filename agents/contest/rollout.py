@@ -13,10 +13,11 @@ from gymnasium.envs.registration import EnvSpec, load_env_creator
 from numpy.random import Generator, SeedSequence, default_rng
 from numpy.typing import NDArray
 
-from kfenv.envs import rewards, statistics
-from kfenv.envs.core import IDLE, Core
+from kfenv.envs import rewards, scoring
+from kfenv.envs.core import Core
 from kfenv.envs.knobs import knobs_of
 from kfenv.envs.options import Options, check_recording, split_keywords
+from kfenv.envs.statistics import IDLE
 from kfenv.filters.matrices import cholesky, symmetric
 from kfenv.filters.results import History
 from kfenv.models.yardstick import Yardstick, lines_of
@@ -238,7 +239,7 @@ def _score(
     )
     roots = _roots(yardstick, history)
     lines = lines_of(range(len(yardstick)), [roots.shape[3]] * len(yardstick), yardstick.angles)
-    squared, nominal, nees_sum, count, nees = np.zeros((5, batch))
+    squared, nominal, nees_sum, count, nees, latest = np.zeros((6, batch))
     known = np.ones((batch, steps)) if recording.scored is None else recording.scored
     index, active, lost = np.zeros(batch, np.int64), np.ones(batch, bool), np.zeros(batch, bool)
     no_rival, error, errors = np.zeros((batch, steps)), np.full(batch, np.nan), []
@@ -246,12 +247,12 @@ def _score(
         failed = (history.failed_at >= 0) & (history.failed_at <= t)
         status = np.where(failed, history.status, 0)
         work = np.where(active, status, IDLE)
-        statistics.score(means[t], roots[t], truth[t], lines, yardstick.weight, work, error, nees)
+        scoring.score(means[t], roots[t], truth[t], lines, yardstick.weight, work, error, nees)
         error[known[:, t] == 0.0] = nees[known[:, t] == 0.0] = np.nan
         error[active & failed], nees[active & failed] = scenario.lost_distance, np.nan
-        statistics.account(
+        scoring.account(
             error, nees, status, no_rival, scenario.lost_distance, index, active, lost,
-            squared, nominal, nees_sum, count,
+            squared, nominal, nees_sum, count, latest,
         )  # fmt: skip
         errors.append(error.copy())
     knobs = len(knobs_of(scenario.sensor.groups, state_groups=scenario.motion.groups))

@@ -104,7 +104,7 @@ def _instant(loop: Loop, arrived: Measurement, dt: float, origin: Array) -> Inst
         np.sqrt(n + loop.options.kappa), pending, arrived,
     )  # fmt: skip
     return Instant(
-        pending.innovation[0], covariance, arrived.noise[0], dt,
+        pending.innovation[0].copy(), covariance, arrived.noise[0], dt,
         np.linalg.norm(weight[:, None] * yardstick.rows(mean, factor)),
         np.linalg.norm(rate_weight[:, None] * factor[rates]),
         np.linalg.norm(weight * (yardstick.values(mean) - origin)),

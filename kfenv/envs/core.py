@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kfenv.envs import rewards, statistics
+from kfenv.envs import rewards, scoring
 from kfenv.envs.foresight import Foresight
-from kfenv.envs.loop import IDLE, Loop
+from kfenv.envs.loop import Loop
 from kfenv.envs.options import Options
+from kfenv.envs.statistics import IDLE
 from kfenv.filters.protocol import Measurement, elapsed
 from kfenv.scenarios.recording import Recording
 
@@ -45,14 +46,19 @@ class Core(Loop):
             "noise": np.ones((batch, steps, m)),
             "motion_inputs": np.zeros((batch, steps, inputs[0])),
             "sensor_inputs": np.zeros((batch, steps, inputs[1])),
+            "truth": np.zeros((batch, steps, n if has_truth else 0)),
+            "scored": np.ones((batch, steps)),
         }
-        if has_truth:
-            self._episode["truth"] = np.zeros((batch, steps, n))
-            self._episode["scored"] = np.ones((batch, steps))
         self._nominal_error = np.zeros((batch, steps))
         self.time = np.tile(np.atleast_2d(times)[0], (batch, 1))
         self._dt = np.zeros((batch, steps))
-        self._rows, self._last = np.arange(batch), steps - 1
+        self._rows, self._steps = np.arange(batch), steps
+        # What the episodes hold at each filter's index
+        self._arrived = Measurement(np.zeros((batch, inputs[1])), *np.zeros((2, batch, m)))
+        self._motion_inputs = np.zeros((batch, inputs[0]))
+        self._truth = np.zeros((batch, n if has_truth else 0))
+        self._passed, self._held = np.zeros((2, batch))
+        self._due, self._known = np.zeros((2, batch), bool)
         self.index = np.zeros(batch, np.int64)
         self._scored = np.zeros(batch, np.int64)
         self.lost = np.zeros(batch, bool)
@@ -74,7 +80,7 @@ class Core(Loop):
         """Put new episodes at the chosen places, still to be opened."""
         for name, array in self._episode.items():
             given = getattr(recording, name)
-            array[chosen] = 1.0 if given is None else given  # only `scored` may be left out
+            array[chosen] = 1.0 if given is None else given  # `scored`, or a truth of no width
         self.time[chosen], self._dt[chosen] = recording.times, elapsed(recording)
         if self.options.reward == rewards.IMPROVEMENT and self.has_truth:
             self._nominal_error[chosen] = self._errors_of_nominal(recording)
@@ -93,6 +99,7 @@ class Core(Loop):
         """Look at the first measurements of the episodes placed there."""
         mask = np.zeros(self.batch, bool)
         mask[chosen] = True
+        self._arrive()
         self._score(mask)
         self._look(mask)
 
@@ -114,40 +121,41 @@ class Core(Loop):
             Reward, terminated and truncated, each (B,); zero and False where not running.
         """
         self.turn(action, running)
-        squared, nominal, count = np.zeros((3, self.batch))
+        squared, nominal, count = sums = np.zeros((3, self.batch))
         active, begin = running.copy(), self.index.copy()
-        known_error = np.full(self.batch, np.nan)  # the latest of this decision
+        latest_error = np.full(self.batch, np.nan)
         if self.foresight is not None:
             self.foresight.begin()
         for _ in range(self.interval):
             self._correct(active)
             self._score(active)
-            np.copyto(known_error, self.error, where=active & ~np.isnan(self.error))
-            statistics.account(
+            goes_on = scoring.account(
                 self.error, self.nees, self.status, self._nominal_error,
                 self.scenario.lost_distance, self.index, active, self.lost,
-                squared, nominal, self.total_nees, count,
+                squared, nominal, self.total_nees, count, latest_error,
             )  # fmt: skip
+            self._arrive()
             self._predict(active)
             self._look(active)
             self._foresee(active)
-            if not active.any():
+            if not goes_on:
                 break
-        np.copyto(self.error, known_error, where=running)
-        self.total_squared_error += squared
-        self.total_scored += count
-        lost = running & self.lost
-        ended = running & ~lost & (self.index > self._last)
+        lost, ended = np.empty((2, self.batch), bool)
+        scoring.close(
+            running, latest_error, squared, count, self.lost, self.index, self._steps, self.error,
+            self.total_squared_error, self.total_scored, lost, ended,
+        )  # fmt: skip
+        return np.where(running, self._reward(sums, begin), 0.0), lost, ended
+
+    def _reward(self, sums: Array, begin: NDArray[np.int64]) -> Array:
+        """Of a decision begun at these indices: by squared errors, nominal ones and their count."""
         if self.options.reward == rewards.IMPROVEMENT:
+            squared, nominal, count = sums
             count = np.maximum(count, 1.0)
-            reward = self._paid_for_loss(self._improvement(squared / count, nominal / count), begin)
-        elif self.foresight is not None:
-            reward = self._paid_for_loss(self.foresight.reward(), begin)
-        elif self.has_truth:
-            reward = self._added_cost()
-        else:
-            reward = self._price_of_failure()
-        return np.where(running, reward, 0.0), lost, ended
+            return self._paid_for_loss(self._improvement(squared / count, nominal / count), begin)
+        if self.foresight is not None:
+            return self._paid_for_loss(self.foresight.reward(), begin)
+        return self._added_cost() if self.has_truth else self._price_of_failure()
 
     def _improvement(self, squared: Array, nominal: Array) -> Array:
         """Of a decision, from mean squared errors."""
@@ -159,7 +167,7 @@ class Core(Loop):
 
     def _paid_for_loss(self, reward: Array, begin: NDArray[np.int64]) -> Array:
         """A dense reward of decisions begun at these indices; a loss pays for all to come."""
-        remaining = -(-(self._last + 1 - begin) // self.interval)
+        remaining = -(-(self._steps - begin) // self.interval)
         return np.where(self.lost, -rewards.CAP * remaining, reward)
 
     def _added_cost(self) -> Array:
@@ -169,94 +177,72 @@ class Core(Loop):
             self.total_squared_error, self.total_scored, self._to_score, self.lost,
             self.scenario.lost_distance, supposed=scale,
         )  # fmt: skip
-        to_come = np.where(self.lost, 0.0, 1.0 - self.total_scored / self._to_score)
-        return rewards.book(self.options.reward, mean_square, to_come, scale, self._cost)
+        return rewards.book(
+            self.options.reward, mean_square, self.total_scored, self._to_score, self.lost, scale,
+            self._cost,
+        )  # fmt: skip
 
     def _price_of_failure(self) -> Array:
         """Where no truth tells of errors: the worst return's share of what remained."""
         worst = rewards.worst(
             self.options.reward, self.scenario.error_scale, self.scenario.lost_distance
         )
-        return np.where(self.lost, -worst * (1.0 - self.index / (self._last + 1)), 0.0)
+        return np.where(self.lost, -worst * (1.0 - self.index / self._steps), 0.0)
 
-    def _gather(self, name: str) -> Array:
-        """What an episode holds at each filter's instant, or at the last one beyond it."""
-        return self._episode[name][self._rows, self._instant]
-
-    def _measurement(self) -> Measurement:
-        """What arrives at each filter's instant."""
-        episode, here = self._episode, (self._rows, self._instant)
-        return Measurement(
-            episode["sensor_inputs"][here], episode["measurement"][here], episode["noise"][here]
-        )
-
-    @property
-    def _instant(self) -> NDArray[np.int64]:
-        return np.minimum(self.index, self._last)
-
-    @property
-    def _passed(self) -> Array:
-        """Seconds (B,) from the instant before."""
-        return self._dt[self._rows, self._instant]
+    def _arrive(self) -> None:
+        """Take what the episodes hold at each filter's index."""
+        episode = self._episode
+        scoring.arrive(
+            self.index, self.scenario.steps_per_measurement, episode["measurement"],
+            episode["noise"], episode["sensor_inputs"], episode["motion_inputs"], self._dt,
+            episode["truth"], episode["scored"], self._arrived.value, self._arrived.noise,
+            self._arrived.inputs, self._motion_inputs, self._passed, self._due, self._truth,
+            self._known, self._held,
+        )  # fmt: skip
 
     def _correct(self, active: Mask) -> None:
         if self.foresight is not None:
-            self.foresight.correct(self._measurement(), np.where(active, self.status, IDLE))
-        self.correct(self._measurement(), self._due, active)
+            self.foresight.correct(self._arrived, np.where(active, self.status, IDLE))
+        self.correct(self._arrived, self._due, active)
         np.copyto(self._scored, self.index, where=active)
 
     def _predict(self, active: Mask) -> None:
-        self.predict(self._gather("motion_inputs"), self._passed, active)
+        self.predict(self._motion_inputs, self._passed, active)
 
     def _look(self, active: Mask) -> None:
-        self.look(self._measurement(), self._passed, active)
-
-    @property
-    def _due(self) -> Mask:
-        """Whether each filter's instant is one of the sensor's."""
-        return self.index % self.scenario.steps_per_measurement == 0
+        self.look(self._arrived, self._passed, active)
 
     def _foresee(self, active: Mask) -> None:
         """Book the pending innovation as the decision's knobs, still held, foresee it."""
         if self.foresight is None:
             return
-        dt, work = self._passed, np.where(active, self.status, IDLE)
-        self.foresight.predict(self._gather("motion_inputs"), dt, work)
-        arrived = self._measurement()
-        self.foresight.look(self.foresee(arrived, self._due, work), arrived, dt, work)
+        work = np.where(active, self.status, IDLE)
+        self.foresight.predict(self._motion_inputs, self._passed, work)
+        foreseen = self.foresee(self._arrived, self._due, work)
+        self.foresight.look(foreseen, self._arrived, self._passed, work)
 
     def _score(self, active: Mask) -> None:
-        rows = self.yardstick.matrix(self._update.mean, self._update.factor)
+        mean, truth = self._update.mean, self._truth
+        rows = self.yardstick.matrix(mean, self._update.factor)
         if self.has_truth:
-            work = np.where(active, self.status, IDLE)
-            mean, truth = map(self.yardstick.vector, (self._update.mean, self._gather("truth")))
-            statistics.score(
-                mean, rows, truth, self._lines, self._weight, work, self.error, self.nees
-            )
-            unknown = active & (self._gather("scored") == 0.0)
-            self.error[unknown] = self.nees[unknown] = np.nan
-        statistics.note_runaways(
-            self._statistics, rows, self._lines, self._weight, self.scenario.lost_distance,
-            active, self.error,
+            mean, truth = map(self.yardstick.vector, (mean, truth))
+        scoring.assess(
+            mean, rows, truth, self._known, self._lines, self._weight, self._statistics,
+            self.scenario.lost_distance, active, self.status, self._work, self.error, self.nees,
         )  # fmt: skip
-        failed = active & (self.status != 0)
-        if failed.any():
-            self.error[failed] = self.scenario.lost_distance
-            self.nees[failed] = np.nan
 
     # ----- what the agent sees ------------------------------------------------------
 
     def observation(self) -> NDArray[np.float32]:
         """A fresh (B, D) array; see `feature_names`."""
-        step = self._dt[self._rows, np.maximum(self._instant, 1)]  # at first that of the next
-        return self.observe(self._gather("noise"), self.interval * step, self._pends)
+        return self.observe(self._arrived.noise, self.interval * self._held, self._pends)
 
     def information(self) -> dict[str, Any]:
         """Fresh arrays (B, ...) for the info dictionary; nothing of them is in the observation."""
         info: dict[str, Any] = {
             "time": self.time[self._rows, self._scored],
             self.yardstick.error_name: self.error.copy(),
-            **self.tell(self._gather("noise"), self._pends),
+            **self.tell(self._arrived.noise.copy(), self._pends),
         }
         if self.has_truth:
             info["nees"] = self.nees.copy()
@@ -266,7 +252,9 @@ class Core(Loop):
     @property
     def _pends(self) -> Mask:
         """Whether a measurement waits for its update; not where the episode is over."""
-        return (self.index <= self._last) & ~self.lost & (self.status == 0)
+        pends = np.empty(self.batch, bool)
+        scoring.waiting(self.index, self._steps, self.lost, self.status, pends)
+        return pends
 
     def scored_covariance(self) -> Array:
         """A fresh (B, d, d): the posterior covariance of what is scored, e.g. the position, m^2."""

@@ -18,6 +18,7 @@ from kfenv.envs import statistics
 from kfenv.envs.rewards import CAP, LIKELIHOOD
 from kfenv.filters.protocol import Filter, Knobs, Measurement
 from kfenv.filters.results import Prediction, Update
+from kfenv.kernel_cache import KERNEL
 from kfenv.models.model import Sensor
 from kfenv.scenarios.recording import Recording
 
@@ -115,7 +116,7 @@ def _take(work: Status, kept: tuple[Array, ...], new: tuple[Array, ...]) -> None
         before[work >= 0] = after[work >= 0]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _book(foreseen, rival, value, status, rival_status, gained, arrived):
     """Add up log-likelihoods over the nominal filter's, of which a failed one has the least."""
     for b in range(value.shape[0]):
@@ -129,7 +130,7 @@ def _book(foreseen, rival, value, status, rival_status, gained, arrived):
             arrived[b] += count
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _mean_gain(gained, arrived, reward):
     """Per channel that arrived, capped."""
     for b in range(reward.shape[0]):
@@ -137,7 +138,7 @@ def _mean_gain(gained, arrived, reward):
             reward[b] = max(-CAP, min(CAP, gained[b] / arrived[b]))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def _inconsistency(rows, reward):
     """Minus the mean over groups of log RMS and lag-1 correlation, in size, each capped."""
     longest = len(statistics.WINDOWS) - 1

@@ -16,7 +16,7 @@ from kfenv.envs.channels import Channels
 from kfenv.envs.knobs import choose_knobs, knobs_of, knobs_of_channels
 from kfenv.envs.memory import Memory
 from kfenv.envs.options import ENGINE, FULL, GAUSSIAN_SUMS, Options
-from kfenv.envs.state_knobs import places_of_states, turn_states
+from kfenv.envs.state_knobs import places_of_states
 from kfenv.filters.engine import Engine
 from kfenv.filters.pointwise import PointwiseFilter
 from kfenv.filters.protocol import Filter, Knobs, Measurement, Status
@@ -27,8 +27,6 @@ from kfenv.models.yardstick import lines_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-IDLE = -1
 
 
 class Loop:
@@ -61,20 +59,28 @@ class Loop:
         self._prediction = Prediction(np.zeros((batch, n)), *np.zeros((2, batch, n, n)))
         self._pending = _empty_update(batch, n, m)
         self._update = _empty_update(batch, n, m)
-        self._nominal = Knobs.nominal(batch)
-        self.status = np.zeros(batch, np.int64)
+        self._nominal, self._knobs = Knobs.nominal(batch), Knobs(*np.ones((2, batch)))
+        self._told = np.ones((batch, m))
+        self._turned = self._prediction
+        if len(self._state_knob):
+            self._turned = self._prediction._replace(noise=np.zeros((batch, n, n)))
+        self.status, self._work = np.zeros((2, batch), np.int64)
         self._statistics = np.zeros((batch, len(sensor.groups), statistics.COLUMNS))
         self._since = np.zeros(batch)
         self._action = np.zeros((batch, len(self.knobs)))
         self.factors = np.ones((batch, len(self._all_knobs)))
         self.observation_size = len(self.feature_names())
+        groups, common = len(sensor.groups), statistics.common_size(yardstick.rates)
+        self._common_size = groups * statistics.PER_GROUP + common
 
     def _prepare_knobs(self, sensor: Sensor, channels: type[Channels]) -> None:
         options, names = self.options, [channel.name for channel in sensor.channels]
         motion = self.scenario.motion
         shared = knobs_of(sensor.groups, options.mixture, options.most_fading, motion.groups)
-        self._state_knobs = places_of_states(motion, sensor.groups)
-        self._outlier_knob, self._channel_knobs = len(shared) - 1, slice(len(shared), None)
+        states, n = places_of_states(motion, sensor.groups), len(motion.states)
+        self._state_knob = np.array([states.get(i, -1) for i in range(n)] if states else [], int)
+        self._group_knob, self._channel_knob = 2 + self._group, len(shared) + np.arange(len(names))
+        self._outlier_knob = len(shared) - 1
         self._all_knobs = (*shared, *knobs_of_channels(names))
         self.knobs = choose_knobs(
             options.actions, sensor.groups, options.mixture, names, options.most_fading,
@@ -112,8 +118,10 @@ class Loop:
 
     def turn(self, action: Array, running: Mask) -> None:
         """Set the knobs by an action (B, K) of the running filters."""
-        statistics.turn_knobs(action, self._log_low, self._log_high, self.knob_place, self.factors)
-        self._action[running] = action[running]
+        statistics.turn_knobs(
+            action, running, self._log_low, self._log_high, self.knob_place, self.factors,
+            self._action,
+        )  # fmt: skip
 
     def correct(self, arrived: Measurement, due: Mask, active: Mask) -> None:
         """Update the active filters by what arrived.
@@ -121,22 +129,42 @@ class Loop:
         Args:
             due: (B,) whether the instant is one of the sensor's: fading acts at these alone.
         """
-        work = np.where(active, self.status, IDLE)
-        outlier_odds = (self.factors[:, self._outlier_knob].copy(),) if self.options.mixture else ()
-        result = self.filter.update(*self._turned(arrived, due), work, *outlier_odds)
-        self._update = _merge(self._update, result, active)
-        np.copyto(self.status, work, where=active)
-        failed = active & (work != 0)
-        if failed.any():  # its outputs are meaningless
+        turned = self._turn(arrived, due)
+        odds = (self.factors[:, self._outlier_knob].copy(),) if self.options.mixture else ()
+        if self._filtered("update", (*turned, self._work, *odds), active, self._update):
+            failed = active & (self.status != 0)  # its outputs are meaningless
             self._update.mean[failed] = np.nan
             self._update.nis[failed] = np.nan
 
-    def _turned(self, arrived: Measurement, due: Mask) -> tuple[Prediction, Knobs, Measurement]:
+    def _turn(self, arrived: Measurement, due: Mask) -> tuple[Prediction, Knobs, Measurement]:
         """Prediction, knobs and measurement as the factors make them."""
-        noise = arrived.noise * self.factors[:, 2 + self._group]
-        told = arrived._replace(noise=noise * self.factors[:, self._channel_knobs])
-        knobs = Knobs(np.where(due, self.factors[:, 0], 1.0), self.factors[:, 1].copy())
-        return turn_states(self._prediction, self.factors, self._state_knobs), knobs, told
+        statistics.apply_knobs(
+            self.factors, due, arrived.noise, self._group_knob, self._channel_knob,
+            self._state_knob, self._prediction.noise, *self._knobs, self._told, self._turned.noise,
+        )  # fmt: skip
+        return self._turned, self._knobs, Measurement(arrived.inputs, arrived.value, self._told)
+
+    def _filtered(self, what: str, given: tuple, active: Mask, kept: Prediction | Update) -> bool:
+        """Let the filter work for the active ones and keep what comes of it.
+
+        The engine writes it into its place. Of another filter it is copied there: so may one be
+        watched that stands in front of the engine.
+
+        Args:
+            what: its method.
+            given: its arguments, the status `_work` among them.
+
+        Returns:
+            Whether it failed for one of them.
+        """
+        statistics.select(active, self.status, self._work)
+        method = getattr(self.filter, what)
+        if isinstance(self.filter, Engine):
+            method(*given, out=kept)
+        else:
+            for before, after in zip(kept, method(*given), strict=True):
+                before[active] = after[active]
+        return statistics.settle(self._work, active, self.status)
 
     def foresee(self, arrived: Measurement, due: Mask, status: Status) -> Update:
         """The innovation of what arrived with the last decision's knobs still held.
@@ -147,14 +175,12 @@ class Loop:
             due: as for `correct`.
             status: of the filters, to be set where one fails at this.
         """
-        return self.filter.innovate(*self._turned(arrived, due), status)
+        return self.filter.innovate(*self._turn(arrived, due), status)
 
     def predict(self, inputs: Array, dt: Array, active: Mask) -> None:
         """Predict the active filters over dt (B,), with inputs of the motion (B, p)."""
-        work = np.where(active, self.status, IDLE)
-        result = self.filter.predict(self._update.mean, self._update.factor, inputs, dt, work)
-        self._prediction = _merge(self._prediction, result, active)
-        np.copyto(self.status, work, where=active)
+        given = (self._update.mean, self._update.factor, inputs, dt, self._work)
+        self._filtered("predict", given, active, self._prediction)
 
     def look(self, arrived: Measurement, dt: Array, active: Mask) -> None:
         """Form the pending innovation with nominal knobs and take it into the statistics.
@@ -162,17 +188,15 @@ class Loop:
         Args:
             dt: (B,) since the instant before, zero at the first one.
         """
-        work = np.where(active, self.status, IDLE)
-        result = self.filter.innovate(self._prediction, self._nominal, arrived, work)
-        self._pending = _merge(self._pending, result, active)
-        np.copyto(self.status, work, where=active)
+        given = (self._prediction, self._nominal, arrived, self._work)
+        self._filtered("innovate", given, active, self._pending)
         statistics.collect(
-            self._pending.whitened, self._group, self._statistics, self._since, dt, work
+            self._pending.whitened, self._group, self._statistics, self._since, dt, self._work
         )
         if self._channels is not None:
-            self._channels.collect(self._pending, arrived, work == 0)
+            self._channels.collect(self._pending, arrived, self._work == 0)
         if self._memory is not None:
-            self._memory.collect(self._pending, arrived, dt, work == 0)
+            self._memory.collect(self._pending, arrived, dt, self._work == 0)
 
     def observe(self, noise: Array, held: Array, pends: Mask) -> NDArray[np.float32]:
         """The observation, a fresh (B, D) array: `features` in single precision."""
@@ -193,16 +217,14 @@ class Loop:
             self._pending.factor, self._rates, self._weight, self.scenario.error_scale,
             self._group, self._statistics, self._since, pends, out,
         )  # fmt: skip
-        common = statistics.common_size(self.yardstick.rates)
-        rest = out[:, self._statistics.shape[1] * statistics.PER_GROUP + common :]
+        at = self._common_size
         if self._channels is not None:
             told = self._channels.observe(pends)
-            rest[:, : told.shape[1]] = told
-            rest = rest[:, told.shape[1] :]
+            out[:, at : at + told.shape[1]] = told
+            at += told.shape[1]
         if self._memory is not None:
-            self._memory.observe(self._pending.mean, held, pends, rest)
-        out[:, -len(self.knobs) :] = self._action
-        out[self.status != 0] = 0.0
+            self._memory.observe(self._pending.mean, held, pends, out[:, at:])
+        statistics.complete(self._action, self.status, out)
         return out
 
     def tell(self, noise: Array, pends: Mask) -> dict[str, Any]:
@@ -211,16 +233,18 @@ class Loop:
         Args:
             noise, pends: as for `observe`.
         """
-        pends = pends[:, None]
+        pending, shape = self._pending, self._pending.innovation.shape
+        innovation, variance = np.empty(shape), np.empty(shape)
+        statistics.tell(pending.innovation, pending.variance, pends, innovation, variance)
         told: dict[str, Any] = {
             "estimate": self._update.mean.copy(),
             "nis": self._update.nis.copy(),
-            "innovation": np.where(pends, self._pending.innovation, np.nan),
-            "innovation_variance": np.where(pends, self._pending.variance, np.nan),
+            "innovation": innovation,
+            "innovation_variance": variance,
             "noise": noise,
         }
         if self._channels is not None:
-            told["innovation_covariance"] = pends[..., None] * self._channels.covariance
+            told["innovation_covariance"] = pends[:, None, None] * self._channels.covariance
         return told
 
     @property
@@ -299,12 +323,3 @@ def _empty_update(batch: int, n: int, m: int) -> Update:
         np.zeros((batch, n)), np.zeros((batch, n, n)), *np.full((3, batch, m), np.nan),
         np.full(batch, np.nan), np.zeros(batch),
     )  # fmt: skip
-
-
-def _merge(old, new, active: Mask):
-    """The new results where active, the old ones elsewhere."""
-    if active.all():
-        return type(new)(*map(np.ascontiguousarray, new))  # others would be compiled for anew
-    for before, after in zip(old, new, strict=True):
-        before[active] = after[active]
-    return old

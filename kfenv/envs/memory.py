@@ -18,6 +18,7 @@ from kfenv.envs.channels import AXES
 from kfenv.envs.statistics import BOUND, bounded, signed_log
 from kfenv.filters.protocol import Measurement
 from kfenv.filters.results import Update
+from kfenv.kernel_cache import INNER_KERNEL, KERNEL
 from kfenv.models.model import Motion, Sensor
 
 Array = NDArray[np.float64]
@@ -189,7 +190,7 @@ def of_channel() -> tuple[str, ...]:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def remember(innovation, variance, noise, group_of_channel, chosen, active, channels, groups):
     """Take the innovations (B, m) of the active filters into the memory."""
     for b in range(innovation.shape[0]):
@@ -217,7 +218,7 @@ def remember(innovation, variance, noise, group_of_channel, chosen, active, chan
             _remember_group(noise, group_of_channel, channels, b, g, groups)
 
 
-@njit(error_model="numpy")
+@njit(**INNER_KERNEL)
 def _remember_group(noise, group_of_channel, channels, b, g, groups):
     total, square, largest, over, lagged, told, count = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0
     for c in range(group_of_channel.shape[0]):
@@ -250,7 +251,7 @@ def _remember_group(noise, group_of_channel, channels, b, g, groups):
     row[PRODUCT] += (lagged / count - row[PRODUCT]) / PRODUCTS
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def tell_groups(group_of_channel, size, pends, channels, groups, out):
     """Write what is told of the groups, zero for the present where nothing pends.
 
@@ -277,7 +278,7 @@ def tell_groups(group_of_channel, size, pends, channels, groups, out):
     return at
 
 
-@njit(error_model="numpy")
+@njit(**INNER_KERNEL)
 def _tell_sizes(groups, size, pends, b, g, out, at):
     row = groups[b, g]
     for i in range(4):
@@ -294,7 +295,7 @@ def _tell_sizes(groups, size, pends, b, g, out, at):
     return at + 1
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def tell_motion(
     value, origin, mean, rates, turn, acceleration, weight, turn_weight, error_scale, held, out
 ):  # fmt: skip
@@ -310,7 +311,7 @@ def tell_motion(
             out[b, 3] = bounded(log1p(strength))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def tell_channels(chosen, pends, channels, out):
     """Write what is told of the single channels that have a knob."""
     for b in range(channels.shape[0]):
@@ -329,7 +330,7 @@ def tell_channels(chosen, pends, channels, out):
             out[b, at + 1] = row[SHARE] if here else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def differentiate(mean, velocity, dt, active, last, change):
     """Follow how fast the estimated velocity changes, over about `SMOOTHING` seconds."""
     for b in range(mean.shape[0]):
@@ -343,7 +344,7 @@ def differentiate(mean, velocity, dt, active, last, change):
             last[b, i] = now
 
 
-@njit(error_model="numpy")
+@njit(**INNER_KERNEL)
 def _length(state, rows, weight):
     total = 0.0
     for i in range(len(rows)):
@@ -351,11 +352,11 @@ def _length(state, rows, weight):
     return sqrt(total)
 
 
-@njit(error_model="numpy")
+@njit(**INNER_KERNEL)
 def _capped(value):
     return max(-MOST, min(MOST, value))
 
 
-@njit(error_model="numpy")
+@njit(**INNER_KERNEL)
 def _log_root(square):
     return bounded(0.5 * log(square + 1e-4))

@@ -312,7 +312,7 @@ def options(scenario: Any) -> str:
         """
         The vector environment also takes ``num_envs`` and ``autoreset_mode``
         (``"next_step"``, ``"same_step"`` or ``"disabled"``), ``info="none"`` to tell nothing and be
-        faster, and does not render.""",
+        faster, ``threads`` to step on several cores, and does not render.""",
     )
 
 
@@ -345,11 +345,12 @@ def vector_arguments(scenario: Any) -> str:
         Takes ``num_envs`` and ``autoreset_mode`` (``"next_step"`` by default, ``"same_step"``
         for libraries that expect a fresh observation at once, ``"disabled"``), ``info``
         (``"full"``, or ``"none"`` for empty ones, which learners seldom read and which take time),
-        ``max_episode_steps`` (as `gymnasium.make` does), and every argument of the single
-        environment but ``render_mode``. Sub-environment i seeded with s + i gives
-        the same bits as a single environment seeded so; of a ``recording`` it replays the
-        episodes i, i + num_envs, and so on. A sub-environment holds its episode, {megabytes:.2g} MB
-        by default.""")
+        ``max_episode_steps`` (as `gymnasium.make` does), ``threads`` (1 by default; as many as
+        there are cores pay from some hundred sub-environments on), and every argument of the
+        single environment but ``render_mode``. Sub-environment i seeded with s + i gives
+        the same bits as a single environment seeded so, in however many threads; of a
+        ``recording`` it replays the episodes i, i + num_envs, and so on. A sub-environment holds
+        its episode, {megabytes:.2g} MB by default.""")
 
 
 PARAGRAPHS = (

@@ -14,6 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from kfenv.kernel_cache import KERNEL
+
 Array = NDArray[np.float64]
 
 LOG_RMSE = "log-rmse"
@@ -39,11 +41,23 @@ def mean_square(
         lost_distance: m.
         supposed: error at those that are still to come, m.
     """
-    missing = np.where(lost, lost_distance, supposed)
-    return (squared + (to_score - scored) * missing**2) / np.maximum(to_score, 1.0)
+    mean = np.empty_like(squared)
+    _mean_square(squared, scored, to_score, lost, lost_distance, supposed, mean)
+    return mean
 
 
-def book(reward: str, mean_square: Array, to_come: Array, error_scale: float, cost: Array) -> Array:
+@njit(**KERNEL)
+def _mean_square(squared, scored, to_score, lost, lost_distance, supposed, mean):
+    for b in range(mean.shape[0]):
+        missing = lost_distance if lost[b] else supposed
+        total = squared[b] + (to_score[b] - scored[b]) * (missing * missing)
+        mean[b] = total / max(to_score[b], 1.0)
+
+
+def book(
+    reward: str, mean_square: Array, scored: Array, to_score: Array, lost: NDArray[np.bool_],
+    error_scale: float, cost: Array,
+) -> Array:  # fmt: skip
     """Minus what is added to each episode's cost (B,), which is brought up to date.
 
     The cost is the root of the mean square over the scale, less the share still to come, or
@@ -51,21 +65,22 @@ def book(reward: str, mean_square: Array, to_come: Array, error_scale: float, co
 
     Args:
         mean_square: (B,), m^2, one scale supposed where there is no error yet.
-        to_come: share (B,) of the scored instants that are to come.
+        scored, to_score, lost: as for `mean_square`.
         error_scale: m.
         cost: (B,) so far.
     """
-    added = np.empty_like(cost)
-    _book(mean_square, to_come, error_scale, reward == LOG_RMSE, cost, added)
-    return -added
+    earned = np.empty_like(cost)
+    _book(mean_square, scored, to_score, lost, error_scale, reward == LOG_RMSE, cost, earned)
+    return earned
 
 
-@njit(cache=True, error_model="numpy")
-def _book(mean_square, to_come, error_scale, logarithmic, cost, added):
+@njit(**KERNEL)
+def _book(mean_square, scored, to_score, lost, error_scale, logarithmic, cost, earned):
     for b in range(cost.shape[0]):
+        to_come = 0.0 if lost[b] else 1.0 - scored[b] / to_score[b]
         root = sqrt(mean_square[b]) / error_scale
-        new = log(root) if logarithmic else root - to_come[b]
-        added[b], cost[b] = new - cost[b], new
+        new = log(root) if logarithmic else root - to_come
+        earned[b], cost[b] = -(new - cost[b]), new
 
 
 def worst(reward: str, error_scale: float, lost_distance: float) -> float:
@@ -84,7 +99,7 @@ def least_square(error_scale: float) -> float:
     return min(1e-6, (1e-4 * error_scale) ** 2)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def improvement(nominal_squared, squared, least, reward):
     """Log of the nominal filter's RMS error over this one's, capped."""
     for b in range(reward.shape[0]):

@@ -1,4 +1,4 @@
-"""Compiled arithmetic of the decision process: knobs, scores, observations.
+"""Compiled arithmetic of the decision process: knobs, statistics of innovations, observations.
 
 One filter after the other in plain loops, so that a filter alone and inside a batch
 gets the same bits.
@@ -7,10 +7,11 @@ gets the same bits.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import exp, floor, inf, isnan, log, nan, pi, sqrt
+from math import exp, inf, isfinite, isnan, log, nan, sqrt
 
-import numpy as np
 from numba import njit
+
+from kfenv.kernel_cache import INNER_KERNEL, KERNEL
 
 # Exponential windows of the squared innovations, in arrivals; the last one also
 # serves the correlation.
@@ -20,8 +21,8 @@ COMMON = 3  # time since the last arrival, position deviation and, if it is told
 # Columns of the statistics of a group: a mean square per window, lag product, last value
 LAG, LAST, COLUMNS = len(WINDOWS), len(WINDOWS) + 1, len(WINDOWS) + 2
 BOUND = 10.0  # of every feature
-TWO_PI = 2.0 * pi
 RUNAWAY, RUNAWAY_WINDOW = 100.0, 1  # RMS of whitened innovations, and over which window
+IDLE = -1  # status of a filter that has nothing to do
 
 
 def common_size(rates: Sequence[int]) -> int:
@@ -54,114 +55,66 @@ def feature_names(
     return tuple(names)
 
 
-@njit(cache=True, error_model="numpy")
-def turn_knobs(action, log_low, log_high, position, factors):
-    """Write the factors of the exposed knobs; `position` is each one's place in `factors`."""
+@njit(**KERNEL)
+def turn_knobs(action, running, log_low, log_high, position, factors, last_action):
+    """Write the factors of the exposed knobs; `position` is each one's place in `factors`.
+
+    The last action is that of the running filters.
+    """
     for b in range(action.shape[0]):
         for k in range(action.shape[1]):
             a = action[b, k]
             factors[b, position[k]] = exp(a * log_high[k]) if a >= 0.0 else exp(-a * log_low[k])
+            if running[b]:
+                last_action[b, k] = a
 
 
-@njit(cache=True, error_model="numpy")
-def score(mean, factor, truth, lines, weight, status, error, nees):
-    """Error and NEES of what each running filter is scored by; see `Yardstick` for the lines.
-
-    The NEES works on the factor's rows: their products lose the smaller of two deviations that
-    differ by 1e8.
-    """
-    place, width, angle = lines[0], lines[1], lines[2]
-    size, states = lines.shape[1], factor.shape[2]
-    rows, e = np.zeros((size, states)), np.zeros(size)
-    for b in range(mean.shape[0]):
-        if status[b] != 0:
-            continue
-        squared = 0.0
-        for i in range(size):
-            off = mean[b, place[i]] - truth[b, place[i]]
-            if angle[i]:
-                off -= TWO_PI * floor(off / TWO_PI + 0.5)
-            e[i] = weight[i] * off
-            squared += e[i] * e[i]
-            for k in range(states):
-                rows[i, k] = weight[i] * factor[b, place[i], k] if k < width[i] else 0.0
-        error[b] = sqrt(squared)
-        nees[b] = _normalised_square(rows, e)
-
-
-@njit(error_model="numpy")
-def _normalised_square(rows, e):
-    """e^T (R R^T)^-1 e from the rows of R, by modified Gram-Schmidt; both are used up.
-
-    NaN where the rows depend on each other, so that R R^T is not positive definite.
-    """
-    total = 0.0
-    size = len(e)
-    for i in range(size):
-        length = sqrt(_product(rows[i], rows[i]))
-        if not 0.0 < length < inf:
-            return nan
-        rows[i] /= length
-        e[i] /= length
-        total += e[i] * e[i]
-        for j in range(i + 1, size):
-            along = _product(rows[i], rows[j])
-            rows[j] -= along * rows[i]
-            e[j] -= along * e[i]
-    return total
-
-
-@njit(error_model="numpy")
-def _product(one, other):
-    total = 0.0
-    for k in range(one.shape[0]):
-        total += one[k] * other[k]
-    return total
-
-
-@njit(cache=True, error_model="numpy")
-def note_runaways(statistics, factor, lines, weight, lost_distance, active, error):
-    """Put the error just above the loss distance where it is unknown and all speaks for a loss.
-
-    That is: innovations a hundred times what the filter expects, in the mean square over some
-    ten measurements, or a deviation by which the filter itself takes it for lost.
-    """
-    for b in range(error.shape[0]):
-        if active[b] and isnan(error[b]):
-            away = _deviation(factor[b], lines, weight) > lost_distance
-            for g in range(statistics.shape[1]):
-                away = away or statistics[b, g, RUNAWAY_WINDOW] > RUNAWAY**2
-            if away:
-                error[b] = lost_distance * (1.0 + 1e-9)
-
-
-@njit(cache=True, error_model="numpy")
-def account(
-    error, nees, status, nominal_error, lost_distance, index, active, lost,
-    squared, nominal, total_nees, count,
+@njit(**KERNEL)
+def apply_knobs(
+    factors, due, noise, group_knob, channel_knob, state_knob, process,
+    fading, process_scale, told, turned,
 ):  # fmt: skip
-    """Book an instant of each active filter, if its error is known, and move it on.
+    """Write what the factors make of a filter's numbers.
 
-    A filter that has lost its track, or has reached its episode's end, becomes inactive;
-    a lost one stays at the instant of the loss, whose error counts as the loss distance.
+    Args:
+        due: fading acts where the instant is one of the sensor's.
+        noise, process: deviations (B, m) and factors (B, n, n) of the process noise.
+        group_knob, channel_knob: places (m,) in `factors` of the knobs of each channel's group
+            and of each channel.
+        state_knob: (n,) of the knobs of each state's group, -1 for none; () without such knobs.
+        fading, process_scale, told, turned: are written, the turned factors of the process noise
+            only where there are such knobs.
     """
-    for b in range(error.shape[0]):
-        if not active[b]:
-            continue
-        if not isnan(error[b]):
-            squared[b] += min(error[b], lost_distance) ** 2
-            nominal[b] += nominal_error[b, index[b]] ** 2
-            total_nees[b] += nees[b]
-            count[b] += 1.0
-        if status[b] != 0 or error[b] > lost_distance:
-            lost[b] = True
-            active[b] = False
-        else:
-            index[b] += 1
-            active[b] = index[b] < nominal_error.shape[1]
+    for b in range(factors.shape[0]):
+        fading[b] = factors[b, 0] if due[b] else 1.0
+        process_scale[b] = factors[b, 1]
+        for c in range(noise.shape[1]):
+            told[b, c] = noise[b, c] * factors[b, group_knob[c]] * factors[b, channel_knob[c]]
+        for i in range(state_knob.shape[0]):
+            deviation = sqrt(factors[b, state_knob[i]]) if state_knob[i] >= 0 else 1.0
+            for j in range(process.shape[2]):
+                turned[b, i, j] = process[b, i, j] * deviation
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
+def select(active, status, work):
+    """The status for filters to work by: idle where they are not active."""
+    for b in range(work.shape[0]):
+        work[b] = status[b] if active[b] else IDLE
+
+
+@njit(**KERNEL)
+def settle(work, active, status):
+    """Take over how the active filters' work ended; whether it failed for one of them."""
+    failed = False
+    for b in range(work.shape[0]):
+        if active[b]:
+            status[b] = work[b]
+            failed = failed or work[b] != 0
+    return failed
+
+
+@njit(**KERNEL)
 def collect(whitened, group_of_channel, statistics, since, dt, status):
     """Take a pending innovation into the running statistics of each running filter."""
     groups = statistics.shape[1]
@@ -188,7 +141,7 @@ def collect(whitened, group_of_channel, statistics, since, dt, status):
         since[b] = 0.0 if arrived else since[b] + dt[b]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(**KERNEL)
 def observe(
     whitened, variance, sd, rows, lines, factor, rates, weight, error_scale, group_of_channel,
     statistics, since, pending, out,
@@ -223,26 +176,60 @@ def observe(
             out[b, at + 6] = share / count if count > 0 else 0.0
         at = groups * PER_GROUP
         out[b, at] = bounded(log(1.0 + since[b]))
-        out[b, at + 1] = bounded(log(_deviation(rows[b], lines, weight) / error_scale))
+        out[b, at + 1] = bounded(log(deviation(rows[b], lines, weight) / error_scale))
         if rates.shape[1] > 0:
-            rate = _deviation(factor[b], rates, weight)
+            rate = deviation(factor[b], rates, weight)
             out[b, at + 2] = bounded(log(rate / (0.1 * error_scale)))
 
 
-@njit(error_model="numpy")
+@njit(**KERNEL)
+def complete(action, status, out):
+    """Write the previous action behind the features, and zeros for a filter that has failed."""
+    features = out.shape[1]
+    for b in range(action.shape[0]):
+        for k in range(action.shape[1]):
+            out[b, features - action.shape[1] + k] = action[b, k]
+        for k in range(features if status[b] != 0 else 0):
+            out[b, k] = 0.0
+
+
+@njit(**KERNEL)
+def tell(innovation, variance, pends, told_innovation, told_variance):
+    """Copy the innovations that wait for their update; NaN stands for the others."""
+    for b in range(innovation.shape[0]):
+        for c in range(innovation.shape[1]):
+            told_innovation[b, c] = innovation[b, c] if pends[b] else nan
+            told_variance[b, c] = variance[b, c] if pends[b] else nan
+
+
+@njit(**KERNEL)
+def tell_without_nan(estimate, innovation, variance, nis):
+    """A missing channel tells zero with infinite variance; if all are missing the NIS is zero."""
+    for b in range(innovation.shape[0]):
+        for c in range(innovation.shape[1]):
+            if isnan(variance[b, c]):
+                innovation[b, c], variance[b, c] = 0.0, inf
+        finite = True
+        for i in range(estimate.shape[1]):
+            finite = finite and isfinite(estimate[b, i])
+        if isnan(nis[b]) and finite:
+            nis[b] = 0.0
+
+
+@njit(**INNER_KERNEL)
 def signed_log(value):
     """sign(value) log(1 + abs(value)), within the bound of a feature."""
     return bounded(log(1.0 + value) if value >= 0.0 else -log(1.0 - value))
 
 
-@njit(error_model="numpy")
+@njit(**INNER_KERNEL)
 def bounded(value):
     """The value, or the bound of a feature beyond it."""
     return max(-BOUND, min(BOUND, value)) if not isnan(value) else nan
 
 
-@njit(error_model="numpy")
-def _deviation(factor, lines, weight):
+@njit(**INNER_KERNEL)
+def deviation(factor, lines, weight):
     total = 0.0
     for i in range(lines.shape[1]):
         for k in range(lines[1, i]):

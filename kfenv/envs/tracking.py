@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
+from math import isnan
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -15,7 +17,8 @@ from numpy.typing import NDArray
 
 from kfenv.envs.core import Core
 from kfenv.envs.options import Options, check_recording, split_keywords
-from kfenv.envs.statistics import BOUND
+from kfenv.envs.statistics import BOUND, tell_without_nan
+from kfenv.envs.threads import ThreadedCore
 from kfenv.names import unknown
 from kfenv.scenarios.recording import Recording
 from kfenv.scenarios.scenario import AT_ONCE
@@ -40,6 +43,7 @@ class TrackingEnv(gym.Env):
         self.scenario, self.options = split_keywords(self.scenario_class, keywords)
         self.core = _make_core(self.scenario, self.options, 1)
         self.observation_space, self.action_space = _spaces(self.core)
+        self._knob_names = [knob.name for knob in self.core.knobs]
         self._episodes = 0
         self._over = True
         self._film = _new_film(self, render_mode)
@@ -79,10 +83,8 @@ class TrackingEnv(gym.Env):
         reward, lost, ended = self.core.step(action[None], np.ones(1, bool))
         self._over = bool(lost[0] or ended[0])
         info = self._info()
-        info["knobs"] = {
-            knob.name: float(self.core.factors[0, place])
-            for knob, place in zip(self.core.knobs, self.core.knob_place, strict=True)
-        }
+        factors = self.core.factors[0, self.core.knob_place].tolist()
+        info["knobs"] = dict(zip(self._knob_names, factors, strict=True))
         if self._film is not None:
             self._film.add(self.core, info)
             if self.render_mode == "human":
@@ -102,21 +104,22 @@ class TrackingEnv(gym.Env):
             self._film.close()
 
     def _info(self) -> dict[str, Any]:
-        info = _without_nan(self.core.information())
-        errors = (self.core.yardstick.error_name, "nees")
-        unknown = [key for key in errors if np.isnan(info.get(key, 0.0)).any()]
-        return {
-            key: float(value[0]) if value.ndim == 1 else value[0]
-            for key, value in info.items()
-            if key not in unknown  # checkers compare infos, and NaN equals nothing
+        info = {
+            key: value.item() if value.ndim == 1 else value[0]
+            for key, value in _without_nan(self.core.information()).items()
         }
+        for key in (self.core.yardstick.error_name, "nees"):
+            if isnan(info.get(key, 0.0)):  # checkers compare infos, and NaN equals nothing
+                del info[key]
+        return info
 
 
 class TrackingVectorEnv(VectorEnv):
     """Many filters in lock-step over one engine; the base of the vector environments.
 
     Sub-environment i seeded with s + i gives the same bits as a single environment
-    seeded so. With ``recording`` it replays episodes i, i + num_envs, ... of it.
+    seeded so, in however many threads. With ``recording`` it replays episodes i, i + num_envs,
+    ... of it.
     """
 
     scenario_class: ClassVar[type]
@@ -128,10 +131,12 @@ class TrackingVectorEnv(VectorEnv):
         render_mode: str | None = None,
         info: str = FULL,
         max_episode_steps: int | None = None,
+        threads: int = 1,
         **keywords: Any,
     ) -> None:
-        if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
-            raise ValueError(f"num_envs must be a positive whole number, got {num_envs!r}.")
+        for name, value in (("num_envs", num_envs), ("threads", threads)):
+            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+                raise ValueError(f"{name} must be a positive whole number, got {value!r}.")
         if render_mode is not None:
             raise ValueError("The vector environment does not render: use gym.make for that.")
         if info not in INFOS:
@@ -146,7 +151,11 @@ class TrackingVectorEnv(VectorEnv):
         self._most_steps = np.inf if max_episode_steps is None else max_episode_steps
         self._steps = np.zeros(num_envs, np.int64)
         self.scenario, self.options = split_keywords(self.scenario_class, keywords)
-        self.core = _make_core(self.scenario, self.options, num_envs)
+        make_core = partial(_make_core, self.scenario, self.options)
+        if threads == 1:
+            self.core = make_core(num_envs)
+        else:
+            self.core = ThreadedCore(make_core, num_envs, threads)
         self.single_observation_space, self.single_action_space = _spaces(self.core)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -332,14 +341,8 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
 
 
 def _without_nan(info: dict[str, Any]) -> dict[str, Any]:
-    """A missing channel tells zero with infinite variance; if all are missing the NIS is zero.
-
-    Checkers compare infos, and NaN equals nothing.
-    """
-    missing = np.isnan(info["innovation_variance"])
-    info["innovation"][missing] = 0.0
-    info["innovation_variance"][missing] = np.inf
-    info["nis"][np.isnan(info["nis"]) & np.isfinite(info["estimate"]).all(axis=1)] = 0.0
+    """See `tell_without_nan`: checkers compare infos, and NaN equals nothing."""
+    tell_without_nan(info["estimate"], info["innovation"], info["innovation_variance"], info["nis"])
     return info
 
 

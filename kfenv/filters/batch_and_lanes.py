@@ -10,7 +10,7 @@ from math import isnan, log, nan
 from numba import njit
 
 from kfenv.models.namespaces.compiled import INNER, TWO_PI
-from kfenv.models.namespaces.lanes import LANES
+from kfenv.models.namespaces.lanes import LANES, sqrt
 
 LARGEST = sys.float_info.max
 OK, BAD_PREDICTION, BAD_INNOVATION, BAD_UPDATE = 0, 1, 2, 3
@@ -24,6 +24,31 @@ def gather(source, first, target):
         b = min(first + lane, last)
         for k in range(source.shape[1]):
             target[k, lane] = source[b, k]
+
+
+@njit(cache=True, **INNER)
+def gather_scales(fading, process_scale, first, w):
+    """The roots of the two factors (B,) of covariances."""
+    last = fading.shape[0] - 1
+    for lane in range(LANES):
+        b = min(first + lane, last)
+        w.scales[0, lane] = sqrt(fading[b])
+        w.scales[1, lane] = sqrt(process_scale[b])
+
+
+@njit(cache=True, **INNER)
+def anyone_runs(status, first):
+    """Whether a block has a filter to work for."""
+    for b in range(first, min(first + LANES, status.shape[0])):
+        if status[b] == OK:
+            return True
+    return False
+
+
+@njit(cache=True, **INNER)
+def rows(matrices):
+    """Matrices (B, n, n) as rows (B, n * n), without a copy."""
+    return matrices.reshape((matrices.shape[0], matrices.shape[1] * matrices.shape[2]))
 
 
 @njit(cache=True, **INNER)

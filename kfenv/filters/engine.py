@@ -25,6 +25,7 @@ from kfenv.models.namespaces.lanes import LANES
 Array = NDArray[np.float64]
 Status = NDArray[np.int64]
 FEW = 9  # of so many channels each has a row, heard or not: loops of known length are faster
+ENTRY_POINT = {"cache": True, "nogil": True, "no_cfunc_wrapper": True, **compiled.FLOATING_POINT}
 CYCLE, KERNEL = (Path(__file__).with_name(name) for name in ("cycle.py", "kernel.py"))
 
 
@@ -88,43 +89,52 @@ class Engine:
         return Engine, (self.motion, self.sensor, self.kappa)
 
     def predict(
-        self, mean: Array, factor: Array, inputs: Array, dt: Array, status: Status
+        self,
+        mean: Array,
+        factor: Array,
+        inputs: Array,
+        dt: Array,
+        status: Status,
+        out: Prediction | None = None,
     ) -> Prediction:
-        """See `Filter.predict`."""
-        result = Prediction(np.empty(mean.shape), *np.empty((2, *factor.shape)))
-        mean, factor, inputs, dt = _plain(mean, factor, inputs, dt[:, None])
-        self._kernel.predict(
-            mean, _rows(factor), inputs, dt, self._scratch,
-            result.mean, _rows(result.root), _rows(result.noise), status,
-        )  # fmt: skip
+        """See `Filter.predict`; with `out` the results are written into that."""
+        result = out or Prediction(np.empty(mean.shape), *np.empty((2, *factor.shape)))
+        self._kernel.predict(*_plain(mean, factor, inputs, dt), self._scratch, *result, status)
         return result
 
     def innovate(
-        self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status
+        self,
+        prediction: Prediction,
+        knobs: Knobs,
+        measurement: Measurement,
+        status: Status,
+        out: Update | None = None,
     ) -> Update:
-        """See `Filter.innovate`."""
-        return self._update(prediction, knobs, measurement, status, correct=False)
+        """See `Filter.innovate`; with `out` the results are written into that."""
+        return self._update(prediction, knobs, measurement, status, False, out)
 
     def update(
-        self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status
+        self,
+        prediction: Prediction,
+        knobs: Knobs,
+        measurement: Measurement,
+        status: Status,
+        out: Update | None = None,
     ) -> Update:
-        """See `Filter.update`."""
-        return self._update(prediction, knobs, measurement, status, correct=True)
+        """See `Filter.update`; with `out` the results are written into that."""
+        return self._update(prediction, knobs, measurement, status, True, out)
 
-    def _update(self, prediction, knobs, measurement, status, correct) -> Update:
+    def _update(self, prediction, knobs, measurement, status, correct, out) -> Update:
         shape = measurement.value.shape
-        result = Update(
+        result = out or Update(
             np.empty(prediction.mean.shape),
             np.empty(prediction.root.shape),
             *np.empty((3, *shape)),
             *np.empty((2, shape[0])),
         )
-        mean, root, noise = _plain(*prediction)
         self._kernel.update(
-            mean, _rows(root), _rows(noise),
-            _roots(knobs), *_plain(*measurement), self._scratch, correct,
-            result.mean, _rows(result.factor), *result[2:], status,
-        )  # fmt: skip
+            *_plain(*prediction, *knobs, *measurement), self._scratch, correct, *result, status
+        )
         return result
 
     def run(self, episodes: Episodes, knobs: Knobs | None = None) -> Run:
@@ -139,8 +149,8 @@ class Engine:
             episodes.measurement, episodes.noise,
         )  # fmt: skip
         self._kernel.run(
-            mean, _rows(factor), elapsed(episodes)[..., None].copy(), *series,
-            _roots(knobs or Knobs.nominal(batch)), self._scratch, *result,
+            mean, factor, elapsed(episodes)[..., None].copy(), *series,
+            *_plain(*(knobs or Knobs.nominal(batch))), self._scratch, *result,
         )  # fmt: skip
         return result
 
@@ -156,25 +166,12 @@ def _scratch_sizes(n: int, m: int, p: int, k: int) -> Scratch:
     )  # fmt: skip
 
 
-def _roots(knobs: Knobs) -> Array:
-    """Square roots of the two covariance factors, (B, 2)."""
-    scales = np.empty((len(knobs.fading), 2))
-    np.sqrt(knobs.fading, out=scales[:, 0])
-    np.sqrt(knobs.process_scale, out=scales[:, 1])
-    return scales
-
-
 def _plain(*arrays: Array) -> list[Array]:
     """The arrays, or copies of those that are read-only or in another order than C's.
 
     Numba would compile for each of these anew, which takes ten seconds.
     """
     return [array if array.flags.carray else array.copy() for array in arrays]
-
-
-def _rows(matrices: Array) -> Array:
-    """Matrices (B, n, n) as rows (B, n * n), without a copy."""
-    return matrices.reshape(len(matrices), -1)
 
 
 @lru_cache(maxsize=64)
@@ -223,7 +220,7 @@ def _kernel(motion: Motion, sensor: Sensor, kappa: float) -> ModuleType:
 def _entry_point(function: FunctionType, identity: str):
     """Compile a kernel function, cached on disk under a name of its own for each pair."""
     function.__qualname__ = f"{function.__name__}_{identity}"
-    kernel = njit(cache=True, **compiled.FLOATING_POINT, no_cfunc_wrapper=True)(function)
+    kernel = njit(**ENTRY_POINT)(function)
 
     def call(*arguments):
         try:

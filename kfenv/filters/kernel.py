@@ -11,11 +11,14 @@ from kfenv.filters.batch_and_lanes import (
     BAD_UPDATE,
     LARGEST,
     OK,
+    anyone_runs,
     assess,
     gather,
     gather_measurement,
+    gather_scales,
     is_finite,
     mark_missing,
+    rows,
     scatter,
     scatter_factor,
 )
@@ -26,34 +29,39 @@ from kfenv.models.namespaces.lanes import LANES, load, spread, store
 def predict(mean, factor, u, dt, scratch, new_mean, root, noise, status):
     """Time update of a batch. Filters whose status is not zero are left alone."""
     w = scratch_of(scratch)
+    steps = dt.reshape((dt.shape[0], 1))
     for first in range(0, mean.shape[0], LANES):
+        if not anyone_runs(status, first):
+            continue
         gather(mean, first, w.posterior)
-        gather(factor, first, w.S)
+        gather(rows(factor), first, w.S)
         gather(u, first, w.u)
-        gather(dt, first, w.dt)
+        gather(steps, first, w.dt)
         _predict_lanes(w.posterior, w.S, w.u, load(w.dt, 0), w.predicted, w.L, w.Q, w.X)
         scatter(w.predicted, first, status, new_mean)
-        scatter_factor(w.L, first, status, root, _plain(N))
-        scatter_factor(w.Q, first, status, noise, _plain(N))
+        scatter_factor(w.L, first, status, rows(root), _plain(N))
+        scatter_factor(w.Q, first, status, rows(noise), _plain(N))
         for lane in range(min(LANES, mean.shape[0] - first)):
             if status[first + lane] == OK and not is_finite(w.predicted, w.L, lane):
                 status[first + lane] = BAD_PREDICTION
 
 
 @entry_point
-def update(mean, root, noise, scales, s, measurement, deviation, scratch, correct,
+def update(mean, root, noise, fading, process_scale, s, measurement, deviation, scratch, correct,
            new_mean, new_factor, innovation, variance, whitened, nis, log_likelihood,
            status):  # fmt: skip
-    """Measurement update of a batch; scales are the roots of fading and process scale (B, 2).
+    """Measurement update of a batch. Filters whose status is not zero are left alone.
 
     Unless ``correct``, the innovation alone is formed and the predicted state returned.
     """
     w = scratch_of(scratch)
     for first in range(0, mean.shape[0], LANES):
+        if not anyone_runs(status, first):
+            continue
         gather(mean, first, w.predicted)
-        gather(root, first, w.S)
-        gather(noise, first, w.Q)
-        gather(scales, first, w.scales)
+        gather(rows(root), first, w.S)
+        gather(rows(noise), first, w.Q)
+        gather_scales(fading, process_scale, first, w)
         gather(s, first, w.s)
         heard = gather_measurement(measurement, deviation, first, w)
         _add_noise(w.S, load(w.scales, 0), w.Q, load(w.scales, 1), w.L, w.A)
@@ -65,10 +73,10 @@ def update(mean, root, noise, scales, s, measurement, deviation, scratch, correc
             else:
                 _keep_lanes(w)
             scatter(w.posterior, first, status, new_mean)
-            scatter_factor(w.S, first, status, new_factor, _plain(N))
+            scatter_factor(w.S, first, status, rows(new_factor), _plain(N))
         else:
             scatter(w.predicted, first, status, new_mean)
-            scatter_factor(w.L, first, status, new_factor, _plain(N))
+            scatter_factor(w.L, first, status, rows(new_factor), _plain(N))
         scatter(w.innovation, first, status, innovation)
         scatter(w.variance, first, status, variance)
         scatter(w.whitened, first, status, whitened)
@@ -87,15 +95,15 @@ def update(mean, root, noise, scales, s, measurement, deviation, scratch, correc
 
 
 @entry_point
-def run(mean, factor, dt, u, s, measurement, deviation, scales, scratch, means, nis, status,
-        failed_at):  # fmt: skip
+def run(mean, factor, dt, u, s, measurement, deviation, fading, process_scale, scratch, means, nis,
+        status, failed_at):  # fmt: skip
     """Filter whole recordings with constant knobs; posterior means (B, T, n)."""
     w = scratch_of(scratch)
     for first in range(0, mean.shape[0], LANES):
         lanes = min(LANES, mean.shape[0] - first)
         gather(mean, first, w.posterior)
-        gather(factor, first, w.S)
-        gather(scales, first, w.scales)
+        gather(rows(factor), first, w.S)
+        gather_scales(fading, process_scale, first, w)
         for t in range(measurement.shape[1]):
             if t > 0:
                 gather(u[:, t], first, w.u)

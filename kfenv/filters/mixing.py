@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from kfenv.models.namespaces import lanes
-from kfenv.models.namespaces.compiled import FLOATING_POINT, wrap
+from kfenv.models.namespaces.compiled import FLOATING_POINT, INNER, wrap
 from kfenv.models.namespaces.lanes import LANES, load, spread, store, where_greater
 
 Array = NDArray[np.float64]
@@ -88,7 +88,7 @@ def _mix(weights, mean, factor, is_angle, w, d, e, L, P, base, centre, shift, be
                                    factor[b], new_factor[b, j])  # fmt: skip
 
 
-@njit(**FLOATING_POINT)
+@njit(**INNER)
 def _gather(weights, mean, factor, first, w, d, L):
     """Lane l takes row first + l, the last row fills up; what has no weight becomes zero."""
     batch, components, targets = weights.shape
@@ -108,7 +108,7 @@ def _gather(weights, mean, factor, first, w, d, L):
                     at += 1
 
 
-@njit(**FLOATING_POINT)
+@njit(**INNER)
 def _choose(w, components, targets, n, d, L, centre, base):
     """Mean and factor of the heaviest component."""
     size = n * (n + 1) // 2
@@ -126,7 +126,7 @@ def _choose(w, components, targets, n, d, L, centre, base):
         heaviest = where_greater(total, heaviest, total, heaviest)
 
 
-@njit(**FLOATING_POINT)
+@njit(**INNER)
 def _relate(d, e, L, base, centre, is_angle, i):
     """Turn mean and factor of component i into an offset d, e = L_0^-1 d and M = L_0^-1 L."""
     n = len(is_angle)
@@ -150,7 +150,7 @@ def _relate(d, e, L, base, centre, is_angle, i):
         store(L, start + at + row, load(L, start + at + row) / load(base, at + row))
 
 
-@njit(**FLOATING_POINT)
+@njit(**INNER)
 def _square(L, P, i, n):
     """P_i := L_i L_i^T, both packed by rows of the lower triangle."""
     start = i * (n * (n + 1) // 2)
@@ -165,7 +165,7 @@ def _square(L, P, i, n):
             at += 1
 
 
-@njit(**FLOATING_POINT)
+@njit(**INNER)
 def _mean_offset(w, offset, components, targets, j, n, mean):
     """Of mixture j."""
     for k in range(n):
@@ -175,7 +175,7 @@ def _mean_offset(w, offset, components, targets, j, n, mean):
         store(mean, k, value)
 
 
-@njit(**FLOATING_POINT)
+@njit(**INNER)
 def _covariance(w, e, P, components, targets, j, bend, total):
     """Packed covariance of mixture j, in units of the base."""
     n, size = len(bend), len(total)
@@ -192,7 +192,7 @@ def _covariance(w, e, P, components, targets, j, bend, total):
                 at += 1
 
 
-@njit(**FLOATING_POINT)
+@njit(**INNER)
 def _factorise(total, T, sound, n):
     """Packed Cholesky factor; `sound` is 1 in lanes that keep their digits."""
     store(sound, 0, spread(1.0))
@@ -212,7 +212,7 @@ def _factorise(total, T, sound, n):
                 store(sound, 0, where_greater(MOST, variance, load(sound, 0), 0.0))
 
 
-@njit(**FLOATING_POINT)
+@njit(**INNER)
 def _times(base, T, n):
     """T := base T, both packed lower factors."""
     for row in range(n - 1, -1, -1):
@@ -224,7 +224,7 @@ def _times(base, T, n):
             store(T, at + column, value)
 
 
-@njit(**FLOATING_POINT)
+@njit(**INNER)
 def _scatter(mean, T, lane, new_mean, new_factor):
     at = 0
     for row in range(len(new_mean)):
@@ -234,7 +234,7 @@ def _scatter(mean, T, lane, new_mean, new_factor):
             at += 1
 
 
-@njit(**FLOATING_POINT)
+@njit(**INNER)
 def _triangularise(weights, mean, centre, is_angle, factor, L):
     """L := tria[sqrt(w_i) L_i, sqrt(w_i) (m_i - x)], by Householder reflections."""
     components, n = mean.shape

@@ -131,7 +131,7 @@ class Refinery:
         return torch.stack(errors), torch.stack(consistency), torch.stack(counts)
 
     def _turned(self, predicted: Predicted, factors: torch.Tensor) -> Predicted:
-        """See `kfenv.envs.state_knobs.turn_states`."""
+        """See `kfenv.envs.statistics.apply_knobs`."""
         if not self._states:
             return predicted
         columns = [

@@ -1,0 +1,82 @@
+"""The decision process on several cores of the machine: a part of the filters for each thread.
+
+Compiled code leaves Python to the other threads, and no filter sees another: the bits are those
+of one `Core` for all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kfenv.envs.core import Core
+from kfenv.models.namespaces.lanes import LANES
+from kfenv.scenarios.recording import Recording
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+SHARED = (
+    "scenario", "options", "knobs", "knob_place", "yardstick", "interval", "observation_size",
+    "feature_names",
+)  # fmt: skip
+
+
+class ThreadedCore:
+    """What a vector environment needs of a `Core`, from one for each thread.
+
+    Args:
+        make: a core of so many filters.
+        batch: B.
+        threads: at most so many, and none with less than a block of the engine.
+    """
+
+    def __init__(self, make: Callable[[int], Core], batch: int, threads: int) -> None:
+        blocks = -(-batch // LANES)
+        parts = min(threads, blocks)
+        ends = [min(batch, LANES * (blocks * (i + 1) // parts)) for i in range(parts)]
+        self._parts = [slice(*pair) for pair in zip([0, *ends[:-1]], ends, strict=True)]
+        self._cores = [make(part.stop - part.start) for part in self._parts]
+        self.batch = batch
+        for name in SHARED:
+            setattr(self, name, getattr(self._cores[0], name))
+
+    def load(self, chosen: NDArray[np.int64], recording: Recording) -> None:
+        """See `Core.load`."""
+        for core, part in zip(self._cores, self._parts, strict=True):
+            own = np.flatnonzero((part.start <= chosen) & (chosen < part.stop))
+            if len(own):
+                core.load(chosen[own] - part.start, recording[own])
+
+    def step(self, action: Array, running: Mask) -> tuple[Array, Mask, Mask]:
+        """See `Core.step`."""
+        first, *others = zip(self._cores, self._parts, strict=True)
+        waiting = [self._pool.submit(c.step, action[p], running[p]) for c, p in others]
+        told = [first[0].step(action[first[1]], running[first[1]])]
+        told += [future.result() for future in waiting]
+        return tuple(map(np.concatenate, zip(*told, strict=True)))
+
+    def observation(self) -> NDArray[np.float32]:
+        """See `Core.observation`."""
+        return np.concatenate([core.observation() for core in self._cores])
+
+    def information(self) -> dict[str, Any]:
+        """See `Core.information`."""
+        told = [core.information() for core in self._cores]
+        return {key: np.concatenate([part[key] for part in told]) for key in told[0]}
+
+    @property
+    def factors(self) -> Array:
+        """See `Core.factors`; a copy."""
+        return np.concatenate([core.factors for core in self._cores])
+
+    @cached_property
+    def _pool(self) -> ThreadPoolExecutor:
+        return ThreadPoolExecutor(max(1, len(self._cores) - 1), "kfenv")
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_pool"}
