@@ -24,7 +24,7 @@ from kfenv.scenarios.radar.tracking import RadarTracking
 from kfenv.scenarios.recording import Recording
 from kfenv.scenarios.scenario import TrackingScenario
 
-from . import own_speed
+from . import environment_speed, own_speed
 
 ENV_ID = "kfenv/RadarTracking-v0"
 FILTERS = 1024
@@ -47,6 +47,7 @@ def benchmark(advance: Callable[[str], None] = lambda what: None) -> list[Row]:
         ("engine", _engine_rows),
         ("models of one's own", _own_rows),
         ("environments", _environment_rows),
+        ("vector environments", _vector_rows),
         ("start-up", _start_up_rows),
     ):
         advance(name)
@@ -173,7 +174,20 @@ def _environment_rows() -> list[Row]:
         Row(what, f"{speed:,.0f} steps/s", "", "150,000 steps/s"),
         Row(f"reset of {FILTERS} sub-environments", f"{begun:.2f} s",
             f"{1e3 * begun / FILTERS:.2f} ms an episode", "0.2 s"),
-        Row("single env.step, median", f"{np.median(times) * 1e6:.0f} us", "", "100 us"),
+        Row("single env.step, median", f"{np.median(times) * 1e6:.0f} us", "", "40 us"),
+    ]  # fmt: skip
+
+
+def _vector_rows() -> list[Row]:
+    speed = environment_speed.measured(ENV_ID, _best)
+    few, many = environment_speed.FEW, environment_speed.MANY
+    part = speed["environments"] / speed["engine"]
+    gain = speed["two threads"] / speed["one thread"]
+    return [
+        Row(f"the same without resets, {few} sub-environments",
+            f"{speed['environments']:,.0f} steps/s", f"{part:.2f} x the engine alone", "0.6 x"),
+        Row(f"the same, {many} sub-environments in two threads",
+            f"{speed['two threads']:,.0f} steps/s", f"{gain:.2f} x one thread", "1.8 x"),
     ]  # fmt: skip
 
 
