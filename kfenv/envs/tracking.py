@@ -327,7 +327,7 @@ def _checked(action: NDArray, shape: tuple[int, ...]) -> NDArray[np.float64]:
         raise ValueError(f"The action has shape {array.shape}, expected {shape}.")
     if np.isnan(array).any():
         raise ValueError("The action holds NaN: check the policy's output.")
-    return np.clip(array, -1.0, 1.0)
+    return np.minimum(np.maximum(array, -1.0), 1.0)
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
