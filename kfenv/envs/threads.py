@@ -6,7 +6,7 @@ of one `Core` for all.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from typing import Any
@@ -45,12 +45,22 @@ class ThreadedCore:
         for name in SHARED:
             setattr(self, name, getattr(self._cores[0], name))
 
-    def load(self, chosen: NDArray[np.int64], recording: Recording) -> None:
-        """See `Core.load`."""
+    def place(self, chosen: NDArray[np.int64], recording: Recording) -> None:
+        """See `Core.place`."""
+        for core, begin, own in self._own(chosen):
+            core.place(chosen[own] - begin, recording[own])
+
+    def open(self, chosen: NDArray[np.int64]) -> None:
+        """See `Core.open`."""
+        for core, begin, own in self._own(chosen):
+            core.open(chosen[own] - begin)
+
+    def _own(self, chosen: NDArray[np.int64]) -> Iterator[tuple[Core, int, NDArray[np.int64]]]:
+        """Each core that has some of the chosen, its first place, and which of them they are."""
         for core, part in zip(self._cores, self._parts, strict=True):
             own = np.flatnonzero((part.start <= chosen) & (chosen < part.stop))
             if len(own):
-                core.load(chosen[own] - part.start, recording[own])
+                yield core, part.start, own
 
     def step(self, action: Array, running: Mask) -> tuple[Array, Mask, Mask]:
         """See `Core.step`."""
