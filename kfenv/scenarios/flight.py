@@ -14,12 +14,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-import kfenv.kernel_cache  # noqa: F401  (processes take turns at it)
+from kfenv.kernel_cache import KERNEL
 
 Array = NDArray[np.float64]
 
 INNER_STEP = 0.25  # s; position is then good to 1 mm
-COMPILED = {"cache": True, "error_model": "numpy"}
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ def _travelled(step: Array | float, before: Array, after: Array) -> Array:
     return step * (0.5 * (before[0] + after[0]) + step / 12.0 * (before[1] - after[1]))
 
 
-@njit(**COMPILED)
+@njit(**KERNEL)
 def _move(nodes, motion, start, time, states):
     """Write the states (B, T, 9), see `Flights.states`: position as by `_travelled`."""
     for b in range(states.shape[0]):
@@ -128,7 +127,7 @@ def _move(nodes, motion, start, time, states):
                 states[b, t, 3 * axis + 2] = acceleration
 
 
-@njit(**COMPILED)
+@njit(**KERNEL)
 def _fly(turns, climbs, heading, time, motion):
     """Write velocity and acceleration (2, 3, B, T), see `Flights.motion`."""
     for b in range(heading.size):
@@ -158,7 +157,7 @@ def _fly(turns, climbs, heading, time, motion):
             motion[0, 2, b, t], motion[1, 2, b, t] = climb, climb_slope
 
 
-@njit(**COMPILED)
+@njit(**KERNEL)
 def _along(legs, b, leg, now):
     """Time since an edge began, its length, and its phase (0 to pi) with sine and cosine."""
     since, edge = now - legs[0, b, leg], legs[1, b, leg]
