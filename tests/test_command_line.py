@@ -11,6 +11,8 @@ import time
 
 import pytest
 import typer
+from kfenv.agents.bench import Row
+from kfenv.agents.cli import speed
 from kfenv.agents.cli.app import app
 from kfenv.agents.cli.console import complaints
 from typer.testing import CliRunner
@@ -34,6 +36,13 @@ def test_who_resumes_training_is_told_that_it_runs_code():
     for command in ("train", "demo"):
         text = " ".join(re.sub("[^a-zA-Z-]", " ", kfenv(command, "--help").output).split())
         assert "Only with one of your own" in text and "pickles" in text
+
+
+def test_bench_tells_its_rows_as_a_table_or_as_json(monkeypatch):
+    row = Row("engine", "5 steps/s", "2 x another", "1 x")
+    monkeypatch.setattr(speed, "_own", lambda advance: [row])
+    assert all(part in kfenv("bench").output for part in row)
+    assert json.loads(kfenv("bench", "--json").output) == [row._asdict()]
 
 
 def test_envs_lists_every_id():
