@@ -64,15 +64,18 @@ class ThreadedCore:
 
     def step(self, action: Array, running: Mask) -> tuple[Array, Mask, Mask]:
         """See `Core.step`."""
-        first, *others = zip(self._cores, self._parts, strict=True)
-        waiting = [self._pool.submit(c.step, action[p], running[p]) for c, p in others]
-        told = [first[0].step(action[first[1]], running[first[1]])]
-        told += [future.result() for future in waiting]
+        told = self._together(lambda core, part: core.step(action[part], running[part]))
         return tuple(map(np.concatenate, zip(*told, strict=True)))
 
     def observation(self) -> NDArray[np.float32]:
         """See `Core.observation`."""
-        return np.concatenate([core.observation() for core in self._cores])
+        return np.concatenate(self._together(lambda core, part: core.observation()))
+
+    def _together(self, work: Callable[[Core, slice], Any]) -> list[Any]:
+        """What each core's work gives: the first one's in this thread, the others' beside it."""
+        first, *others = zip(self._cores, self._parts, strict=True)
+        waiting = [self._pool.submit(work, *other) for other in others]
+        return [work(*first), *(future.result() for future in waiting)]
 
     def information(self) -> dict[str, Any]:
         """See `Core.information`."""
