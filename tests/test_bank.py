@@ -8,6 +8,7 @@ from kfenv.agents.contest.rollout import draw_episodes, rollout
 from kfenv.agents.contestants.banks.noise_and_motion import MisreportBank
 from kfenv.agents.contestants.fault_model import factors
 from kfenv.agents.contestants.registry import BANKS, make_agent
+from numba import njit
 from pairs import drawn_case, position_sensor
 
 from kfenv.filters.bank import Bank, Mode, markov
@@ -16,6 +17,7 @@ from kfenv.filters.gaussian_sum import Mixture
 from kfenv.filters.mixing import _triangularise, mix
 from kfenv.filters.reference import ReferenceFilter
 from kfenv.models.constant_acceleration import constant_acceleration
+from kfenv.models.namespaces.compiled import FLOATING_POINT
 from kfenv.scenarios.radar.tracking import RadarTracking
 
 ENV, KEYWORDS = "kfenv/RadarTracking-v0", {"rate": 2.0, "duration": 20.0}
@@ -92,7 +94,12 @@ def test_triangularising_equals_squaring_where_both_work():
     factor, mean = np.tril(rng.standard_normal((3, 4, 4))), rng.standard_normal((3, 4))
     weights, L = np.array([0.2, 0.5, 0.3]), np.zeros((4, 4))
     centre = weights @ mean
-    _triangularise(weights, mean, centre, np.zeros(4, bool), factor, L)
+
+    @njit(**FLOATING_POINT)
+    def triangularise(weights, mean, centre, angles, factor, L):
+        _triangularise(weights, mean, centre, angles, factor, L)
+
+    triangularise(weights, mean, centre, np.zeros(4, bool), factor, L)
     off = mean - centre
     P = np.einsum("i,inm->nm", weights, factor @ factor.swapaxes(1, 2))
     np.testing.assert_allclose(L @ L.T, P + np.einsum("i,in,im->nm", weights, off, off), rtol=1e-12)
