@@ -93,3 +93,11 @@ def test_a_fault_may_replace_the_arrays():
     assert np.isnan(offset.measurement[:, late]).all()
     assert not np.array_equal(*(r.measurement[:, ~late, 0] for r in (offset, clean)))
     assert_same_as_alone(RadarTracking(duration=5.0, faults=[Replacing()]), [0, 1])
+
+
+def test_a_scenario_that_draws_one_at_a_time_is_refused():
+    with pytest.raises(TypeError, match=r"Mine defines trajectory, .* define trajectories\(rngs\)"):
+
+        class Mine(RadarValidation):
+            def trajectory(self, rng):
+                return np.zeros((len(self.time), 9))

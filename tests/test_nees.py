@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rollouts import TRACKING, change, draw, make, make_vec, zeros
 
-from kfenv.envs import statistics
+from kfenv.envs import scoring
 from kfenv.models.yardstick import lines_of
 
 ROOT = Path(__file__).parents[1]
@@ -28,7 +28,7 @@ def nees_of(factor, error, position=POSITION):
     truth[0, position] = np.negative(error)
     factor = np.array([factor], float)
     lines = lines_of(position, np.array(position) + 1, np.zeros(3))
-    statistics.score(
+    scoring.score(
         np.zeros((1, states)), factor, truth, lines, np.ones(3), np.zeros(1, np.int64), *out
     )
     return float(out[1, 0])

@@ -174,7 +174,7 @@ def test_nothing_is_left_to_fill_in_or_to_wrap(env_id):
 def test_the_memory_of_an_episode(env_id):
     core = gym.make(env_id).unwrapped.core
     arrays = [*core._episode.values(), core._nominal_error]
-    told = re.search(r"its episode, (\S+) MB", inspect.getdoc(vector_class(env_id)))[1]
+    told = re.search(r"its\s+episode,\s+(\S+)\s+MB", inspect.getdoc(vector_class(env_id)))[1]
     assert float(told) == pytest.approx(sum(array.nbytes for array in arrays) / 1e6, rel=0.05)
 
 

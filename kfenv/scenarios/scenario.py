@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from math import prod
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.random import Generator
@@ -27,6 +27,8 @@ MAX_RATE = 100.0  # Hz
 MIN_RATE = 1.0  # Hz: the motion models take steps of up to a second
 MOST_INSTANTS = 1_000_000  # of an episode, which is held whole
 AT_ONCE = 16  # episodes drawn together: more would not stay in a processor's cache
+
+TOGETHER = {"trajectory": "trajectories(rngs)", "draft": "drafts(truth, rngs)"}
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,15 @@ class TrackingScenario(ABC):
     lost_distance: ClassVar[float] = 10_000.0  # SPEC 7.1
     mixture: ClassVar[tuple[float, float] | None] = None
     rate_bounds: ClassVar[tuple[float, float]] = (MIN_RATE, MAX_RATE)
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        for one, all_of_them in TOGETHER.items():
+            if one in vars(cls):
+                raise TypeError(
+                    f"{cls.__name__} defines {one}, but episodes are drawn together: define "
+                    f"{all_of_them}, with the episodes in front."
+                )
 
     def __post_init__(self) -> None:
         least, most = self.rate_bounds
