@@ -149,6 +149,7 @@ def _environment_rows() -> list[Row]:
     vector = gym.make_vec(ENV_ID, num_envs=SUB_ENVIRONMENTS, autoreset_mode="same_step")
     vector.reset(seed=0)
     action = np.zeros(vector.action_space.shape, np.float32)
+    vector.step(action)  # compiles
 
     def episodes() -> None:
         for _ in range(400):
