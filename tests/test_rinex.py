@@ -1,18 +1,17 @@
 """RINEX 2 and 3 are read alike; what is wrong with a file is one sentence with its line."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 from rinex_files import (
     BROADCAST,
-    OBSERVED,
     header_line,
     needs_rinex,
     write_navigation,
     write_observations,
 )
+from station import broadcast, observed
 
 from kfenv.scenarios.gnss.ephemeris import read_navigation
 from kfenv.scenarios.gnss.fix import signals
@@ -31,16 +30,6 @@ ROWS = (
     "        45.000",
 )
 GOOD = HEADER + "\n".join((EPOCH, *ROWS, *ROWS)) + "\n"
-
-
-@cache
-def observed():
-    return read_observations(OBSERVED)
-
-
-@cache
-def broadcast():
-    return read_navigation(BROADCAST)
 
 
 def written(folder, text, name="log.05o"):
