@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import cos, sin
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from kfenv.kernel_cache import INNER_KERNEL, KERNEL
 from kfenv.scenarios.draws import Draws
 
 Array = NDArray[np.float64]
@@ -57,18 +60,8 @@ def in_coverage(
     Returns:
         Booleans of the common shape.
     """
-    ground_squared = east * east + north * north
-    height_squared = up * up
-    range_squared = ground_squared + height_squared
-    # Tangents instead of angles: no inverse function per sample.
-    widest = np.tan(MAX_AZIMUTH - angle_margin)
-    steepest = np.tan(np.where(up > 0.0, MAX_ELEVATION, -MIN_ELEVATION) - angle_margin)
-    return (
-        (range_squared >= (MIN_RANGE + range_margin) ** 2)
-        & (range_squared <= (MAX_RANGE - range_margin) ** 2)
-        & (np.abs(east) <= widest * north)
-        & (height_squared <= steepest**2 * ground_squared)
-    )
+    limits = _limits(range_margin, angle_margin)
+    return _sees.py_func(*map(np.asarray, (east, north, up)), limits)
 
 
 def place(
@@ -99,15 +92,13 @@ def places(
     distance = draws.uniform(*ground_range, CANDIDATES)
     bearing = draws.uniform(-MAX_AZIMUTH, MAX_AZIMUTH, CANDIDATES)
     goal = np.stack([distance * np.sin(bearing), distance * np.cos(bearing)], axis=-1)
-    level = np.moveaxis(path[:2] - anchor[..., None], 1, 0)
-    placed = turn(level[:, None], angles) + goal[..., None]
-    inside = in_coverage(
-        placed[..., 0, :], placed[..., 1, :], path[2][:, None], RANGE_MARGIN, ANGLE_MARGIN
-    ).all(axis=-1)
-    every, first = np.arange(len(rngs)), np.argmax(inside, axis=1)
-    angle = angles[every, first]
-    shift = goal[every, first].T - turn(anchor.T[..., None], angle)[..., 0].T
-    return inside[every, first], angle, shift
+    first = np.empty(len(rngs), np.int64)
+    limits = _limits(RANGE_MARGIN, ANGLE_MARGIN)
+    _first_inside(*map(np.ascontiguousarray, (path, anchor, angles, goal)), limits, first)
+    chosen = np.arange(len(rngs)), first
+    angle = angles[chosen]
+    shift = goal[chosen].T - turn(anchor.T[..., None], angle)[..., 0].T
+    return first >= 0, angle, shift
 
 
 def turn(vectors: Array, angle: Array | float) -> Array:
@@ -137,3 +128,47 @@ def check_time(time: object) -> Array:
     if not (np.diff(time) > 0.0).all() or not np.isfinite(time[[0, -1]]).all():
         raise ValueError("time must be finite and increase from each sample to the next.")
     return time
+
+
+def _limits(range_margin: float, angle_margin: float) -> tuple[float, ...]:
+    """Squares of least and greatest range, tangent of azimuth, its square up and down."""
+    angles = MAX_AZIMUTH, MAX_ELEVATION, -MIN_ELEVATION
+    # Tangents instead of angles: no inverse function per sample.
+    widest, rise, fall = (float(np.tan(angle - angle_margin)) for angle in angles)
+    least, most = MIN_RANGE + range_margin, MAX_RANGE - range_margin
+    return least**2, most**2, widest, rise**2, fall**2
+
+
+@njit(**INNER_KERNEL)
+def _sees(east, north, up, limits):
+    least_squared, most_squared, widest, rise_squared, fall_squared = limits
+    ground_squared = east * east + north * north
+    height_squared = up * abs(up)  # with the height's sign
+    range_squared = ground_squared + abs(height_squared)
+    return (
+        (range_squared >= least_squared)
+        & (range_squared <= most_squared)
+        & (abs(east) <= widest * north)
+        & (height_squared <= rise_squared * ground_squared)
+        & (-height_squared <= fall_squared * ground_squared)
+    )
+
+
+@njit(**KERNEL)
+def _first_inside(path, anchor, angle, goal, limits, first):
+    """Write which of the placements (B, C) is the first in coverage, -1 where none is."""
+    for b in range(first.size):
+        first[b] = -1
+        for c in range(angle.shape[1]):
+            sine, cosine = sin(angle[b, c]), cos(angle[b, c])
+            inside = True
+            for t in range(path.shape[2]):
+                x, y = path[0, b, t] - anchor[0, b], path[1, b, t] - anchor[1, b]
+                east = cosine * x + sine * y + goal[b, c, 0]
+                north = cosine * y - sine * x + goal[b, c, 1]
+                if not _sees(east, north, path[2, b, t], limits):
+                    inside = False
+                    break
+            if inside:
+                first[b] = c
+                break

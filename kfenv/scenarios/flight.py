@@ -14,11 +14,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from kfenv.kernel_cache import KERNEL
+from kfenv.kernel_cache import INNER_KERNEL, KERNEL
 
 Array = NDArray[np.float64]
 
 INNER_STEP = 0.25  # s; position is then good to 1 mm
+SINE_AT_THE_END, COSINE_AT_THE_END = sin(pi), cos(pi)  # of an edge
 
 
 @dataclass(frozen=True)
@@ -157,11 +158,13 @@ def _fly(turns, climbs, heading, time, motion):
             motion[0, 2, b, t], motion[1, 2, b, t] = climb, climb_slope
 
 
-@njit(**KERNEL)
+@njit(**INNER_KERNEL)
 def _along(legs, b, leg, now):
     """Time since an edge began, its length, and its phase (0 to pi) with sine and cosine."""
     since, edge = now - legs[0, b, leg], legs[1, b, leg]
     if since <= 0.0:  # before the first edge, which leaves the first level
         return since, edge, 0.0, 0.0, 1.0
-    phase = pi * (since / edge) if since < edge else pi
+    if since >= edge:  # most of the time: no functions are called for what is known
+        return since, edge, pi, SINE_AT_THE_END, COSINE_AT_THE_END
+    phase = pi * (since / edge)
     return since, edge, phase, sin(phase), cos(phase)

@@ -28,6 +28,10 @@ MIN_RATE = 1.0  # Hz: the motion models take steps of up to a second
 MOST_INSTANTS = 1_000_000  # of an episode, which is held whole
 AT_ONCE = 16  # episodes drawn together: more would not stay in a processor's cache
 
+# Once glibc has freed an array of almost 32 MiB, it keeps twice as much of what is freed later.
+# Otherwise it gives back what episodes were drawn in, and asks for it anew page by page.
+np.empty(2**22 - 2**12)
+
 TOGETHER = {"trajectory": "trajectories(rngs)", "draft": "drafts(truth, rngs)"}
 
 
