@@ -62,8 +62,9 @@ def golden(deployable: Deployable) -> Golden:
     for t, dt in enumerate(np.diff(times, prepend=times[0] - first)):
         passed, arrived = np.array([dt if t else 0.0]), measured(recording, t)
         if t:
-            loop.predict(recording.motion_inputs[:, t].copy(), passed, ONE)
-        loop.look(arrived, passed, ONE)
+            loop.advance(recording.motion_inputs[:, t].copy(), arrived, passed, ONE)
+        else:
+            loop.look(arrived, passed, ONE)
         if t % loop.interval == 0:
             observation = loop.features(arrived.noise, np.array([loop.interval * dt]), ONE)
             action, held = network.decide(observation, held)

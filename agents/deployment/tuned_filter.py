@@ -126,9 +126,10 @@ class TunedFilter:
         loop, passed = self._loop, np.zeros(1)
         if self._count > 0:
             passed[0] = dt
-            loop.predict(u, passed, ONE)
+            loop.advance(u, arrived, passed, ONE)
             self.time += dt
-        loop.look(arrived, passed, ONE)
+        else:
+            loop.look(arrived, passed, ONE)
         self._complain_of_failure()
         if self._count % loop.interval == 0:
             loop.turn(self._decide(arrived.noise, dt), ONE)

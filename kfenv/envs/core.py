@@ -52,7 +52,7 @@ class Core(Loop):
         self._nominal_error = np.zeros((batch, steps))
         self.time = np.tile(np.atleast_2d(times)[0], (batch, 1))
         self._dt = np.zeros((batch, steps))
-        self._rows, self._steps = np.arange(batch), steps
+        self._steps = steps
         # What the episodes hold at each filter's index
         self._arrived = Measurement(np.zeros((batch, inputs[1])), *np.zeros((2, batch, m)))
         self._motion_inputs = np.zeros((batch, inputs[0]))
@@ -65,6 +65,10 @@ class Core(Loop):
         self.error, self.nees = np.full((2, batch), np.nan)
         self.total_squared_error, self.total_nees, self.total_scored = np.zeros((3, batch))
         self._to_score, self._cost = np.zeros((2, batch))
+        # Of a decision: squared errors, nominal ones, their count; the last error that is known
+        self._sums = tuple(np.zeros((3, batch)))
+        self._known_error = np.zeros(batch)
+        self._pends = np.zeros(batch, bool)
         self.foresight = None
         if options.reward in rewards.LABEL_FREE:
             self.foresight = Foresight(options.reward, self.filter, scenario.sensor, batch, n)
@@ -101,7 +105,8 @@ class Core(Loop):
         mask[chosen] = True
         self._arrive()
         self._score(mask)
-        self._look(mask)
+        self.look(self._arrived, self._passed, mask)
+        scoring.waiting(self.index, self._steps, self.lost, self.status, self._pends)
 
     def _errors_of_nominal(self, recording: Recording) -> Array:
         run = self.filter.run(recording)
@@ -121,36 +126,32 @@ class Core(Loop):
             Reward, terminated and truncated, each (B,); zero and False where not running.
         """
         self.turn(action, running)
-        squared, nominal, count = sums = np.zeros((3, self.batch))
         active, begin = running.copy(), self.index.copy()
-        latest_error = np.full(self.batch, np.nan)
         if self.foresight is not None:
             self.foresight.begin()
-        for _ in range(self.interval):
+        for instant in range(self.interval):
             self._correct(active)
-            self._score(active)
-            goes_on = scoring.account(
-                self.error, self.nees, self.status, self._nominal_error,
-                self.scenario.lost_distance, self.index, active, self.lost,
-                squared, nominal, self.total_nees, count, latest_error,
-            )  # fmt: skip
+            goes_on = self._take_stock(instant == 0, active)
             self._arrive()
-            self._predict(active)
-            self._look(active)
+            self.advance(self._motion_inputs, self._arrived, self._passed, active)
             self._foresee(active)
             if not goes_on:
                 break
-        lost, ended = np.empty((2, self.batch), bool)
+        squared, _, count = self._sums
+        lost, ended = np.empty(self.batch, bool), np.empty(self.batch, bool)
         scoring.close(
-            running, latest_error, squared, count, self.lost, self.index, self._steps, self.error,
-            self.total_squared_error, self.total_scored, lost, ended,
+            running, self._known_error, squared, count, self.lost, self.index, self._steps,
+            self.status, self.error, self.total_squared_error, self.total_scored, self._pends,
+            lost, ended,
         )  # fmt: skip
-        return np.where(running, self._reward(sums, begin), 0.0), lost, ended
+        reward = self._reward(begin)
+        rewards.withhold(running, reward)
+        return reward, lost, ended
 
-    def _reward(self, sums: Array, begin: NDArray[np.int64]) -> Array:
-        """Of a decision begun at these indices: by squared errors, nominal ones and their count."""
+    def _reward(self, begin: NDArray[np.int64]) -> Array:
+        """A fresh (B,) array for the decision begun at these indices."""
         if self.options.reward == rewards.IMPROVEMENT:
-            squared, nominal, count = sums
+            squared, nominal, count = self._sums
             count = np.maximum(count, 1.0)
             return self._paid_for_loss(self._improvement(squared / count, nominal / count), begin)
         if self.foresight is not None:
@@ -172,14 +173,9 @@ class Core(Loop):
 
     def _added_cost(self) -> Array:
         """Of an episode whose return is its score."""
-        scale = self.scenario.error_scale
-        mean_square = rewards.mean_square(
-            self.total_squared_error, self.total_scored, self._to_score, self.lost,
-            self.scenario.lost_distance, supposed=scale,
-        )  # fmt: skip
         return rewards.book(
-            self.options.reward, mean_square, self.total_scored, self._to_score, self.lost, scale,
-            self._cost,
+            self.options.reward, self.total_squared_error, self.total_scored, self._to_score,
+            self.lost, self.scenario.lost_distance, self.scenario.error_scale, self._cost,
         )  # fmt: skip
 
     def _price_of_failure(self) -> Array:
@@ -206,12 +202,6 @@ class Core(Loop):
         self.correct(self._arrived, self._due, active)
         np.copyto(self._scored, self.index, where=active)
 
-    def _predict(self, active: Mask) -> None:
-        self.predict(self._motion_inputs, self._passed, active)
-
-    def _look(self, active: Mask) -> None:
-        self.look(self._arrived, self._passed, active)
-
     def _foresee(self, active: Mask) -> None:
         """Book the pending innovation as the decision's knobs, still held, foresee it."""
         if self.foresight is None:
@@ -222,11 +212,22 @@ class Core(Loop):
         self.foresight.look(foreseen, self._arrived, self._passed, work)
 
     def _score(self, active: Mask) -> None:
+        scoring.assess(*self._assessed(active))
+
+    def _take_stock(self, begins: bool, active: Mask) -> bool:
+        """Score an instant and move on; whether one goes on, see `scoring.account`."""
+        return scoring.take_stock(
+            *self._assessed(active), begins, self._nominal_error, self.index, self.lost,
+            *self._sums[:2], self.total_nees, self._sums[2], self._known_error,
+        )  # fmt: skip
+
+    def _assessed(self, active: Mask) -> tuple:
+        """What `scoring.assess` is told of."""
         mean, truth = self._update.mean, self._truth
         rows = self.yardstick.matrix(mean, self._update.factor)
         if self.has_truth:
-            mean, truth = map(self.yardstick.vector, (mean, truth))
-        scoring.assess(
+            mean, truth = self.yardstick.vector(mean), self.yardstick.vector(truth)
+        return (
             mean, rows, truth, self._known, self._lines, self._weight, self._statistics,
             self.scenario.lost_distance, active, self.status, self._work, self.error, self.nees,
         )  # fmt: skip
@@ -239,22 +240,18 @@ class Core(Loop):
 
     def information(self) -> dict[str, Any]:
         """Fresh arrays (B, ...) for the info dictionary; nothing of them is in the observation."""
+        time, error, nees = np.empty(self.batch), np.empty(self.batch), np.empty(self.batch)
+        truth = np.empty(self._truth.shape)
+        scoring.recall(
+            self._scored, self.time, self.error, self.nees, self._episode["truth"], time, error,
+            nees, truth,
+        )  # fmt: skip
         info: dict[str, Any] = {
-            "time": self.time[self._rows, self._scored],
-            self.yardstick.error_name: self.error.copy(),
-            **self.tell(self._arrived.noise.copy(), self._pends),
+            "time": time,
+            self.yardstick.error_name: error,
+            **self.tell(self._arrived.noise, self._pends),
         }
-        if self.has_truth:
-            info["nees"] = self.nees.copy()
-            info["truth"] = self._episode["truth"][self._rows, self._scored]
-        return info
-
-    @property
-    def _pends(self) -> Mask:
-        """Whether a measurement waits for its update; not where the episode is over."""
-        pends = np.empty(self.batch, bool)
-        scoring.waiting(self.index, self._steps, self.lost, self.status, pends)
-        return pends
+        return info | {"nees": nees, "truth": truth} if self.has_truth else info
 
     def scored_covariance(self) -> Array:
         """A fresh (B, d, d): the posterior covariance of what is scored, e.g. the position, m^2."""

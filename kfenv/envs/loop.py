@@ -129,22 +129,23 @@ class Loop:
         Args:
             due: (B,) whether the instant is one of the sensor's: fading acts at these alone.
         """
-        turned = self._turn(arrived, due)
+        turned = self._turn(arrived, due, active)
         odds = (self.factors[:, self._outlier_knob].copy(),) if self.options.mixture else ()
-        if self._filtered("update", (*turned, self._work, *odds), active, self._update):
-            failed = active & (self.status != 0)  # its outputs are meaningless
-            self._update.mean[failed] = np.nan
-            self._update.nis[failed] = np.nan
+        self._filtered("update", (*turned, self._work, *odds), active, self._update)
+        statistics.settle(self._work, active, self.status, self._update.mean, self._update.nis)
 
-    def _turn(self, arrived: Measurement, due: Mask) -> tuple[Prediction, Knobs, Measurement]:
-        """Prediction, knobs and measurement as the factors make them."""
+    def _turn(
+        self, arrived: Measurement, due: Mask, active: Mask
+    ) -> tuple[Prediction, Knobs, Measurement]:
+        """Prediction, knobs and measurement as the factors make them, and the status to work by."""
         statistics.apply_knobs(
             self.factors, due, arrived.noise, self._group_knob, self._channel_knob,
-            self._state_knob, self._prediction.noise, *self._knobs, self._told, self._turned.noise,
+            self._state_knob, self._prediction.noise, active, self.status, *self._knobs,
+            self._told, self._turned.noise, self._work,
         )  # fmt: skip
         return self._turned, self._knobs, Measurement(arrived.inputs, arrived.value, self._told)
 
-    def _filtered(self, what: str, given: tuple, active: Mask, kept: Prediction | Update) -> bool:
+    def _filtered(self, what: str, given: tuple, active: Mask, kept: Prediction | Update) -> None:
         """Let the filter work for the active ones and keep what comes of it.
 
         The engine writes it into its place. Of another filter it is copied there: so may one be
@@ -153,18 +154,13 @@ class Loop:
         Args:
             what: its method.
             given: its arguments, the status `_work` among them.
-
-        Returns:
-            Whether it failed for one of them.
         """
-        statistics.select(active, self.status, self._work)
         method = getattr(self.filter, what)
         if isinstance(self.filter, Engine):
             method(*given, out=kept)
         else:
             for before, after in zip(kept, method(*given), strict=True):
                 before[active] = after[active]
-        return statistics.settle(self._work, active, self.status)
 
     def foresee(self, arrived: Measurement, due: Mask, status: Status) -> Update:
         """The innovation of what arrived with the last decision's knobs still held.
@@ -175,12 +171,19 @@ class Loop:
             due: as for `correct`.
             status: of the filters, to be set where one fails at this.
         """
-        return self.filter.innovate(*self._turn(arrived, due), status)
+        return self.filter.innovate(*self._turn(arrived, due, status == 0), status)
 
-    def predict(self, inputs: Array, dt: Array, active: Mask) -> None:
-        """Predict the active filters over dt (B,), with inputs of the motion (B, p)."""
+    def advance(self, inputs: Array, arrived: Measurement, dt: Array, active: Mask) -> None:
+        """Predict the active filters over dt (B,), and look at what arrived.
+
+        Args:
+            inputs: (B, p) of the motion.
+            arrived, dt: as for `look`.
+        """
+        statistics.select(active, self.status, self._work)
         given = (self._update.mean, self._update.factor, inputs, dt, self._work)
         self._filtered("predict", given, active, self._prediction)
+        self._innovate(arrived, dt, active)
 
     def look(self, arrived: Measurement, dt: Array, active: Mask) -> None:
         """Form the pending innovation with nominal knobs and take it into the statistics.
@@ -188,11 +191,16 @@ class Loop:
         Args:
             dt: (B,) since the instant before, zero at the first one.
         """
+        statistics.select(active, self.status, self._work)
+        self._innovate(arrived, dt, active)
+
+    def _innovate(self, arrived: Measurement, dt: Array, active: Mask) -> None:
         given = (self._prediction, self._nominal, arrived, self._work)
         self._filtered("innovate", given, active, self._pending)
-        statistics.collect(
-            self._pending.whitened, self._group, self._statistics, self._since, dt, self._work
-        )
+        statistics.notice(
+            self._pending.whitened, self._group, self._statistics, self._since, dt, self._work,
+            active, self.status,
+        )  # fmt: skip
         if self._channels is not None:
             self._channels.collect(self._pending, arrived, self._work == 0)
         if self._memory is not None:
@@ -215,9 +223,11 @@ class Loop:
         statistics.observe(
             self._pending.whitened, self._pending.variance, noise, rows, self._lines,
             self._pending.factor, self._rates, self._weight, self.scenario.error_scale,
-            self._group, self._statistics, self._since, pends, out,
+            self._group, self._statistics, self._since, pends, self._action, self.status, out,
         )  # fmt: skip
         at = self._common_size
+        if self._channels is None and self._memory is None:
+            return out
         if self._channels is not None:
             told = self._channels.observe(pends)
             out[:, at : at + told.shape[1]] = told
@@ -234,15 +244,17 @@ class Loop:
             noise, pends: as for `observe`.
         """
         pending, shape = self._pending, self._pending.innovation.shape
-        innovation, variance = np.empty(shape), np.empty(shape)
-        statistics.tell(pending.innovation, pending.variance, pends, innovation, variance)
         told: dict[str, Any] = {
-            "estimate": self._update.mean.copy(),
-            "nis": self._update.nis.copy(),
-            "innovation": innovation,
-            "innovation_variance": variance,
-            "noise": noise,
+            "estimate": np.empty(self._update.mean.shape),
+            "nis": np.empty(self.batch),
+            "innovation": np.empty(shape),
+            "innovation_variance": np.empty(shape),
+            "noise": np.empty(shape),
         }
+        statistics.tell(
+            self._update.mean, self._update.nis, pending.innovation, pending.variance, noise,
+            pends, *told.values(),
+        )  # fmt: skip
         if self._channels is not None:
             told["innovation_covariance"] = pends[:, None, None] * self._channels.covariance
         return told

@@ -55,8 +55,8 @@ def _mean_square(squared, scored, to_score, lost, lost_distance, supposed, mean)
 
 
 def book(
-    reward: str, mean_square: Array, scored: Array, to_score: Array, lost: NDArray[np.bool_],
-    error_scale: float, cost: Array,
+    reward: str, squared: Array, scored: Array, to_score: Array, lost: NDArray[np.bool_],
+    lost_distance: float, error_scale: float, cost: Array,
 ) -> Array:  # fmt: skip
     """Minus what is added to each episode's cost (B,), which is brought up to date.
 
@@ -64,23 +64,36 @@ def book(
     with ``"log-rmse"`` the log of that root.
 
     Args:
-        mean_square: (B,), m^2, one scale supposed where there is no error yet.
-        scored, to_score, lost: as for `mean_square`.
-        error_scale: m.
+        squared, scored, to_score, lost, lost_distance: as for `mean_square`.
+        error_scale: m; one is supposed where there is no error yet.
         cost: (B,) so far.
     """
-    earned = np.empty_like(cost)
-    _book(mean_square, scored, to_score, lost, error_scale, reward == LOG_RMSE, cost, earned)
+    earned = np.empty(cost.shape)
+    _book(
+        squared, scored, to_score, lost, lost_distance, error_scale, reward == LOG_RMSE, cost,
+        earned,
+    )  # fmt: skip
     return earned
 
 
 @njit(**KERNEL)
-def _book(mean_square, scored, to_score, lost, error_scale, logarithmic, cost, earned):
+def _book(
+    squared, scored, to_score, lost, lost_distance, error_scale, logarithmic, cost, earned
+):  # fmt: skip
+    _mean_square(squared, scored, to_score, lost, lost_distance, error_scale, earned)
     for b in range(cost.shape[0]):
         to_come = 0.0 if lost[b] else 1.0 - scored[b] / to_score[b]
-        root = sqrt(mean_square[b]) / error_scale
+        root = sqrt(earned[b]) / error_scale
         new = log(root) if logarithmic else root - to_come
         earned[b], cost[b] = -(new - cost[b]), new
+
+
+@njit(**KERNEL)
+def withhold(running, reward):
+    """Nothing is earned by those who do not run."""
+    for b in range(reward.shape[0]):
+        if not running[b]:
+            reward[b] = 0.0
 
 
 def worst(reward: str, error_scale: float, lost_distance: float) -> float:

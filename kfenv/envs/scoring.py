@@ -178,11 +178,37 @@ def account(
 
 
 @njit(**KERNEL)
-def close(
-    running, known_error, squared, count, lost, index, steps, error, total_squared, total_count,
-    lost_now, ended,
+def take_stock(
+    mean, rows, truth, known, lines, weight, statistics, lost_distance, active, status, work,
+    error, nees, begins, nominal_error, index, lost, squared, nominal, total_nees, count,
+    known_error,
 ):  # fmt: skip
-    """Add a decision's sums to the episodes', and tell whose ended by it, and how."""
+    """`assess` and `account` for an instant, with empty sums where the decision begins."""
+    if begins:
+        for b in range(error.shape[0]):
+            squared[b] = nominal[b] = count[b] = 0.0
+            known_error[b] = nan
+    assess(
+        mean, rows, truth, known, lines, weight, statistics, lost_distance, active, status, work,
+        error, nees,
+    )  # fmt: skip
+    return account(
+        error, nees, status, nominal_error, lost_distance, index, active, lost, squared, nominal,
+        total_nees, count, known_error,
+    )  # fmt: skip
+
+
+@njit(**KERNEL)
+def close(
+    running, known_error, squared, count, lost, index, steps, status, error, total_squared,
+    total_count, pends, lost_now, ended,
+):  # fmt: skip
+    """Add a decision's sums to the episodes', and tell whose ended by it, and how.
+
+    Args:
+        pends: see `waiting`.
+    """
+    waiting(index, steps, lost, status, pends)
     for b in range(error.shape[0]):
         total_squared[b] += squared[b]
         total_count[b] += count[b]
@@ -190,6 +216,16 @@ def close(
         ended[b] = running[b] and not lost[b] and index[b] >= steps
         if running[b]:
             error[b] = known_error[b]
+
+
+@njit(**KERNEL)
+def recall(scored, times, error, nees, truths, time, last_error, last_nees, truth):
+    """Copy what belongs to the instant that each filter was scored at last."""
+    for b in range(scored.shape[0]):
+        time[b] = times[b, scored[b]]
+        last_error[b], last_nees[b] = error[b], nees[b]
+        for i in range(truth.shape[1]):
+            truth[b, i] = truths[b, scored[b], i]
 
 
 @njit(**KERNEL)

@@ -56,6 +56,17 @@ def feature_names(
 
 
 @njit(**KERNEL)
+def bound_actions(action):
+    """Bring actions (B, K) within [-1, 1]; whether none of them is NaN."""
+    sound = True
+    for b in range(action.shape[0]):
+        for k in range(action.shape[1]):
+            sound = sound and not isnan(action[b, k])
+            action[b, k] = max(-1.0, min(1.0, action[b, k]))
+    return sound
+
+
+@njit(**KERNEL)
 def turn_knobs(action, running, log_low, log_high, position, factors, last_action):
     """Write the factors of the exposed knobs; `position` is each one's place in `factors`.
 
@@ -71,10 +82,10 @@ def turn_knobs(action, running, log_low, log_high, position, factors, last_actio
 
 @njit(**KERNEL)
 def apply_knobs(
-    factors, due, noise, group_knob, channel_knob, state_knob, process,
-    fading, process_scale, told, turned,
+    factors, due, noise, group_knob, channel_knob, state_knob, process, active, status,
+    fading, process_scale, told, turned, work,
 ):  # fmt: skip
-    """Write what the factors make of a filter's numbers.
+    """Write what the factors make of a filter's numbers, and the status to work by.
 
     Args:
         due: fading acts where the instant is one of the sensor's.
@@ -82,9 +93,10 @@ def apply_knobs(
         group_knob, channel_knob: places (m,) in `factors` of the knobs of each channel's group
             and of each channel.
         state_knob: (n,) of the knobs of each state's group, -1 for none; () without such knobs.
-        fading, process_scale, told, turned: are written, the turned factors of the process noise
-            only where there are such knobs.
+        fading, process_scale, told, turned, work: are written, the turned factors of the process
+            noise only where there are such knobs.
     """
+    select(active, status, work)
     for b in range(factors.shape[0]):
         fading[b] = factors[b, 0] if due[b] else 1.0
         process_scale[b] = factors[b, 1]
@@ -104,14 +116,24 @@ def select(active, status, work):
 
 
 @njit(**KERNEL)
-def settle(work, active, status):
-    """Take over how the active filters' work ended; whether it failed for one of them."""
-    failed = False
+def settle(work, active, status, mean, nis):
+    """Take over how the active filters' updates ended; what a failed one gives means nothing."""
     for b in range(work.shape[0]):
         if active[b]:
             status[b] = work[b]
-            failed = failed or work[b] != 0
-    return failed
+            if work[b] != 0:
+                nis[b] = nan
+                for i in range(mean.shape[1]):
+                    mean[b, i] = nan
+
+
+@njit(**KERNEL)
+def notice(whitened, group_of_channel, statistics, since, dt, work, active, status):
+    """Take over how forming the innovations ended, and the innovations into the statistics."""
+    for b in range(work.shape[0]):
+        if active[b]:
+            status[b] = work[b]
+    collect(whitened, group_of_channel, statistics, since, dt, work)
 
 
 @njit(**KERNEL)
@@ -144,9 +166,9 @@ def collect(whitened, group_of_channel, statistics, since, dt, status):
 @njit(**KERNEL)
 def observe(
     whitened, variance, sd, rows, lines, factor, rates, weight, error_scale, group_of_channel,
-    statistics, since, pending, out,
+    statistics, since, pending, action, status, out,
 ):  # fmt: skip
-    """Write each filter's observation, all but the previous action.
+    """Write each filter's observation, without that of single channels and of a memory.
 
     Where nothing is pending (an episode's end) the group features of the present are zero.
 
@@ -180,6 +202,7 @@ def observe(
         if rates.shape[1] > 0:
             rate = deviation(factor[b], rates, weight)
             out[b, at + 2] = bounded(log(rate / (0.1 * error_scale)))
+    complete(action, status, out)
 
 
 @njit(**KERNEL)
@@ -194,10 +217,17 @@ def complete(action, status, out):
 
 
 @njit(**KERNEL)
-def tell(innovation, variance, pends, told_innovation, told_variance):
-    """Copy the innovations that wait for their update; NaN stands for the others."""
+def tell(
+    mean, nis, innovation, variance, noise, pends,
+    told_mean, told_nis, told_innovation, told_variance, told_noise,
+):  # fmt: skip
+    """Copy what is told; NaN stands for innovations that do not wait for their update."""
     for b in range(innovation.shape[0]):
+        told_nis[b] = nis[b]
+        for i in range(mean.shape[1]):
+            told_mean[b, i] = mean[b, i]
         for c in range(innovation.shape[1]):
+            told_noise[b, c] = noise[b, c]
             told_innovation[b, c] = innovation[b, c] if pends[b] else nan
             told_variance[b, c] = variance[b, c] if pends[b] else nan
 

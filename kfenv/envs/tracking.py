@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 
 from kfenv.envs.core import Core
 from kfenv.envs.options import Options, check_recording, split_keywords
-from kfenv.envs.statistics import BOUND, tell_without_nan
+from kfenv.envs.statistics import BOUND, bound_actions, tell_without_nan
 from kfenv.envs.threads import ThreadedCore
 from kfenv.names import unknown
 from kfenv.scenarios.recording import Recording
 from kfenv.scenarios.scenario import AT_ONCE
 
 RENDER_MODES = ("rgb_array", "human")
+ALONE = np.ones(1, bool)  # the one filter of a single environment runs
 INFOS = FULL, NONE = "full", "none"
 
 
@@ -43,7 +44,8 @@ class TrackingEnv(gym.Env):
         self.scenario, self.options = split_keywords(self.scenario_class, keywords)
         self.core = _make_core(self.scenario, self.options, 1)
         self.observation_space, self.action_space = _spaces(self.core)
-        self._knob_names = [knob.name for knob in self.core.knobs]
+        names = [knob.name for knob in self.core.knobs]
+        self._knobs = list(zip(names, self.core.knob_place.tolist(), strict=True))
         self._episodes = 0
         self._over = True
         self._film = _new_film(self, render_mode)
@@ -80,16 +82,16 @@ class TrackingEnv(gym.Env):
         action = _checked(action, self.action_space.shape)
         if self._over:
             raise RuntimeError("The episode is over (or never began): call reset() first.")
-        reward, lost, ended = self.core.step(action[None], np.ones(1, bool))
-        self._over = bool(lost[0] or ended[0])
+        reward, lost, ended = (array.item() for array in self.core.step(action, ALONE))
+        self._over = lost or ended
         info = self._info()
-        factors = self.core.factors[0, self.core.knob_place].tolist()
-        info["knobs"] = dict(zip(self._knob_names, factors, strict=True))
+        factors = self.core.factors[0].tolist()
+        info["knobs"] = {name: factors[place] for name, place in self._knobs}
         if self._film is not None:
             self._film.add(self.core, info)
             if self.render_mode == "human":
                 self.render()
-        return self.core.observation()[0], float(reward[0]), bool(lost[0]), bool(ended[0]), info
+        return self.core.observation()[0], reward, lost, ended, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the episode so far: an image (H, W, 3), or a window's update."""
@@ -322,12 +324,14 @@ def _next_recording(
 
 
 def _checked(action: NDArray, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    array = np.asarray(action, dtype=np.float64)
+    """An array (B, K) of one's own within the bounds, B = 1 for the shape (K,)."""
+    array = np.array(action, dtype=np.float64, order="C")
     if array.shape != shape:
         raise ValueError(f"The action has shape {array.shape}, expected {shape}.")
-    if np.isnan(array).any():
+    array = array.reshape(-1, shape[-1])
+    if not bound_actions(array):
         raise ValueError("The action holds NaN: check the policy's output.")
-    return np.minimum(np.maximum(array, -1.0), 1.0)
+    return array
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:

@@ -97,10 +97,16 @@ class Engine:
         status: Status,
         out: Prediction | None = None,
     ) -> Prediction:
-        """See `Filter.predict`; with `out` the results are written into that."""
-        result = out or Prediction(np.empty(mean.shape), *np.empty((2, *factor.shape)))
-        self._kernel.predict(*_plain(mean, factor, inputs, dt), self._scratch, *result, status)
-        return result
+        """See `Filter.predict`; with `out` the results are written into that.
+
+        What is given with an `out` has to be in C's order.
+        """
+        given = mean, factor, inputs, dt
+        if out is None:
+            out = Prediction(np.empty(mean.shape), *np.empty((2, *factor.shape)))
+            given = _plain(*given)
+        self._kernel.predict(*given, self._scratch, *out, status)
+        return out
 
     def innovate(
         self,
@@ -110,7 +116,7 @@ class Engine:
         status: Status,
         out: Update | None = None,
     ) -> Update:
-        """See `Filter.innovate`; with `out` the results are written into that."""
+        """See `Filter.innovate`; `out` as for `predict`."""
         return self._update(prediction, knobs, measurement, status, False, out)
 
     def update(
@@ -121,21 +127,20 @@ class Engine:
         status: Status,
         out: Update | None = None,
     ) -> Update:
-        """See `Filter.update`; with `out` the results are written into that."""
+        """See `Filter.update`; `out` as for `predict`."""
         return self._update(prediction, knobs, measurement, status, True, out)
 
     def _update(self, prediction, knobs, measurement, status, correct, out) -> Update:
-        shape = measurement.value.shape
-        result = out or Update(
-            np.empty(prediction.mean.shape),
-            np.empty(prediction.root.shape),
-            *np.empty((3, *shape)),
-            *np.empty((2, shape[0])),
-        )
-        self._kernel.update(
-            *_plain(*prediction, *knobs, *measurement), self._scratch, correct, *result, status
-        )
-        return result
+        given = *prediction, *knobs, *measurement
+        if out is None:
+            shape = measurement.value.shape
+            out = Update(
+                np.empty(prediction.mean.shape), np.empty(prediction.root.shape),
+                *np.empty((3, *shape)), *np.empty((2, shape[0])),
+            )  # fmt: skip
+            given = _plain(*given)
+        self._kernel.update(*given, self._scratch, correct, *out, status)
+        return out
 
     def run(self, episodes: Episodes, knobs: Knobs | None = None) -> Run:
         """See `Filter.run`; no Python per step."""
