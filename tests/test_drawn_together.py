@@ -1,6 +1,6 @@
 """Episodes drawn together have the bits of those drawn alone, whatever else is drawn beside."""
 
-from dataclasses import fields
+from dataclasses import dataclass, fields
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kfenv.scenarios import scenario as drawing
+from kfenv.scenarios.faults import Glint, Jamming, SignalLoss
 from kfenv.scenarios.gnss.tracking import GnssTracking
 from kfenv.scenarios.inertial.ins_gnss import InsGnss
 from kfenv.scenarios.own import OwnFilter
@@ -52,7 +53,8 @@ def test_together_as_alone(name):
 
 
 def test_parts_join(monkeypatch):
-    monkeypatch.setattr(drawing, "AT_ONCE", 2)
+    monkeypatch.setattr(drawing, "LEAST_AT_ONCE", 2)
+    monkeypatch.setattr(drawing, "AT_ONCE", 1)
     assert_same_as_alone(SHORT["RadarTracking"], range(5))
 
 
@@ -93,6 +95,37 @@ def test_a_fault_may_replace_the_arrays():
     assert np.isnan(offset.measurement[:, late]).all()
     assert not np.array_equal(*(r.measurement[:, ~late, 0] for r in (offset, clean)))
     assert_same_as_alone(RadarTracking(duration=5.0, faults=[Replacing()]), [0, 1])
+
+
+@dataclass(frozen=True)
+class Longer(SignalLoss):
+    """A fault derived from one that spoils many at once, with an `apply` of its own."""
+
+    def apply(self, draft, rng):
+        super().apply(draft, rng)
+        draft.available[-3:] = False
+
+
+class Spoiling(RadarTracking):
+    """A scenario that spoils its episodes itself, one at a time."""
+
+    def spoil(self, draft, rng):
+        super().spoil(draft, rng)
+        draft.noise_factor[draft.window("more", 1.0, rng.uniform(1.0, 2.0))] *= 3.0
+
+
+def test_faults_of_one_episode_and_of_many_take_turns():
+    faults = [Jamming(bursts=(2, 2)), Replacing(), Longer(), Glint(), Longer()]
+    scenario = RadarTracking(duration=30.0, faults=faults)
+    assert np.isnan(scenario.sample(generators(range(3))).measurement[:, -3:]).all()
+    assert_same_as_alone(scenario, range(5))
+
+
+def test_a_scenario_that_spoils_episodes_itself():
+    scenario = Spoiling(duration=5.0, faults=[SignalLoss()])
+    drawn = scenario.sample(generators(range(3)))
+    assert [[label for label, *_ in one] for one in drawn.faults] == [["signal loss", "more"]] * 3
+    assert_same_as_alone(scenario, range(3))
 
 
 def test_a_scenario_that_draws_one_at_a_time_is_refused():

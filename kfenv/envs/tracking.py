@@ -21,7 +21,6 @@ from kfenv.envs.statistics import BOUND, bound_actions, tell_without_nan
 from kfenv.envs.threads import ThreadedCore
 from kfenv.names import unknown
 from kfenv.scenarios.recording import Recording
-from kfenv.scenarios.scenario import AT_ONCE
 
 RENDER_MODES = ("rgb_array", "human")
 ALONE = np.ones(1, bool)  # the one filter of a single environment runs
@@ -282,8 +281,8 @@ class TrackingVectorEnv(VectorEnv):
 
     def _begin(self, mask: NDArray[np.bool_]) -> None:
         chosen = np.flatnonzero(mask)
-        for first in range(0, len(chosen), AT_ONCE):
-            part = chosen[first : first + AT_ONCE]
+        for first in range(0, len(chosen), self.scenario.at_once):
+            part = chosen[first : first + self.scenario.at_once]
             rngs = [self._generator(i) for i in part]
             episodes = part + self.num_envs * self._episodes[part]
             self.core.place(part, _next_recording(self.scenario, self.options, rngs, episodes))

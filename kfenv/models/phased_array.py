@@ -158,9 +158,11 @@ def _linear(decibels: float) -> float:
     return 10.0 ** (decibels / 10.0)
 
 
-def rain_transmission(distance: ArrayLike, rate: float) -> Array:
-    """Two-way power transmission through rain of `rate` mm/h (ITU-R P.838-3)."""
-    two_way_db = 2.0 * RAIN_COEFFICIENT * rate**RAIN_EXPONENT * np.asarray(distance) / 1000.0
+def rain_transmission(distance: ArrayLike, rate: ArrayLike) -> Array:
+    """Two-way power transmission through rain of `rate` mm/h (ITU-R P.838-3); both broadcast."""
+    rates, shape = np.ravel(rate).tolist(), np.shape(rate)
+    powers = np.reshape([rate**RAIN_EXPONENT for rate in rates], shape)  # the same bits as alone
+    two_way_db = 2.0 * RAIN_COEFFICIENT * powers * np.asarray(distance) / 1000.0
     return 10.0 ** (-two_way_db / 10.0)
 
 

@@ -19,16 +19,19 @@ class Draws:
     Args:
         rngs: B generators.
         count: how many numbers are taken of each in all.
+
+    Attributes:
+        left: (B, N) those still to be handed out, between 0 and 1.
     """
 
     def __init__(self, rngs: Sequence[Generator], count: int) -> None:
-        self._left = np.empty((len(rngs), count))
-        for rng, row in zip(rngs, self._left, strict=True):
+        self.left = np.empty((len(rngs), count))
+        for rng, row in zip(rngs, self.left, strict=True):
             rng.random(out=row)
 
     def uniform(self, low: Array | float, high: Array | float, count: int) -> Array:
         """The next numbers (B, count), between bounds that broadcast against them."""
-        taken, self._left = self._left[:, :count], self._left[:, count:]
+        taken, self.left = self.left[:, :count], self.left[:, count:]
         return low + (high - low) * taken
 
 

@@ -1,15 +1,18 @@
 """Faults: small objects that spoil an episode before its measurements are drawn.
 
 A fault is anything with a ``label`` and a method ``apply(draft, rng)`` that changes
-the `Draft`. Those here serve every scenario; a range (low, high) is drawn from anew
+the `Draft` of an episode. One that can spoil many episodes at once saves most of the time,
+see `Together`. Those here serve every scenario; a range (low, high) is drawn from anew
 in each episode.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from typing import ClassVar, Protocol, Self
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from itertools import groupby, pairwise
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.random import Generator
@@ -17,80 +20,11 @@ from numpy.typing import NDArray
 
 from kfenv.checks import is_number
 from kfenv.names import unknown
-from kfenv.scenarios.recording import FaultInterval
+from kfenv.scenarios.draft import Draft
+from kfenv.scenarios.draws import Draws
 
 Array = NDArray[np.float64]
 Range = tuple[float, float]
-
-
-@dataclass
-class Draft:
-    """An episode of T instants and m channels before its measurements are drawn.
-
-    That of many episodes has arrays with the episodes in front (but for the time).
-
-    Attributes:
-        time: (T,) s.
-        noise_factor: (T, m) multiplies the noise that is drawn.
-        told_factor: (T, m) multiplies the noise that the filter is told.
-        available: (T, m) whether the channel arrives.
-        exact: (T, m) the measurements without noise; a fault may add errors of its own.
-        bias: (T, m) those of these errors that are single channels' own: told to the
-            clairvoyant, and not added to anything.
-        motion_inputs, sensor_inputs: (T, p), (T, k) the inputs as the filter is told them.
-        intervals: what happened when.
-    """
-
-    time: Array
-    noise_factor: Array
-    told_factor: Array
-    available: NDArray[np.bool_]
-    exact: Array
-    bias: Array
-    motion_inputs: Array
-    sensor_inputs: Array
-    intervals: list[FaultInterval] = field(default_factory=list)
-
-    @classmethod
-    def clean(cls, time: Array, channels: int, **more: object) -> Draft:
-        """An episode without faults; measurements of zero and no inputs unless given."""
-        lead = np.shape(more.get("exact", ()))[:-2]
-        shape, none = (*lead, len(time), channels), np.empty((*lead, len(time), 0))
-        given = {
-            "exact": np.zeros(shape), "bias": np.zeros(shape), "motion_inputs": none,
-            "sensor_inputs": none,
-        }  # fmt: skip
-        return cls(time, np.ones(shape), np.ones(shape), np.ones(shape, bool), **given | more)
-
-    def episodes(self) -> Iterator[Self]:
-        """Each episode of many in turn, whose arrays are views, to be changed until the next."""
-        arrays = {k: v for k, v in vars(self).items() if isinstance(v, np.ndarray) and k != "time"}
-        for i in range(len(self.exact)):
-            views = {name: array[i] for name, array in arrays.items()}
-            one = object.__new__(type(self))
-            vars(one).update(vars(self), intervals=[], **views)
-            yield one
-            for name, view in views.items():
-                if getattr(one, name) is not view:
-                    arrays[name][i] = getattr(one, name)
-
-    def misplace(self, inside: slice, channels: slice, error: Array) -> None:
-        """Add errors (t, c) to channels' measurements of a time, and note them as a bias."""
-        self.exact[inside, channels] += error
-        self.bias[inside, channels] += error
-
-    def window(self, label: str, start: float, duration: float) -> slice:
-        """Label the interval, as far as it lies in the episode, and return its time indices."""
-        stop = start + duration
-        inside = slice(*self.time.searchsorted((start, stop)))
-        if inside.stop > inside.start:
-            first, last = max(start, self.time[0]), min(stop, self.time[-1])
-            self.intervals.append(FaultInterval(label, float(first), float(last)))
-        return inside
-
-    def throughout(self, label: str) -> None:
-        """Label the whole episode."""
-        self.intervals.append(FaultInterval(label, float(self.time[0]), float(self.time[-1])))
 
 
 class Fault(Protocol):
@@ -102,8 +36,20 @@ class Fault(Protocol):
         """Change the draft; every random choice comes from `rng`."""
 
 
+class Together(ABC):
+    """A fault that spoils many episodes at once; alone, one is the only one of many."""
+
+    def apply(self, draft: Draft, rng: Generator) -> None:
+        """Change the draft of one episode."""
+        self.apply_all(draft.alone(), [rng])
+
+    @abstractmethod
+    def apply_all(self, draft: Draft, rngs: Sequence[Generator]) -> None:
+        """Change the draft of many in place, each with the numbers that it would get alone."""
+
+
 @dataclass(frozen=True)
-class Jamming:
+class Jamming(Together):
     """Bursts that raise the noise of all channels, unknown to the filter.
 
     Where bursts overlap the strongest counts.
@@ -129,20 +75,21 @@ class Jamming:
         check_range(self, "factor")
         check_start(self)
 
-    def apply(self, draft: Draft, rng: Generator) -> None:
-        raised = np.ones(len(draft.time))
-        for _ in range(rng.integers(self.bursts[0], self.bursts[1], endpoint=True)):
-            duration = uniform(rng, self.duration)
-            factor = log_uniform(rng, self.factor)
-            start = draw_start(self.start, duration, draft, rng)
-            burst = draft.window(self.label, start, duration)
-            raised[burst] = np.maximum(raised[burst], factor)
-        inside = np.flatnonzero(raised != 1.0)
-        draft.noise_factor[inside] *= raised[inside, None]
+    def apply_all(self, draft: Draft, rngs: Sequence[Generator]) -> None:
+        low, high = self.bursts
+        drawn = [rng.random((rng.integers(low, high, endpoint=True), 3)) for rng in rngs]
+        episode = [i for i, rows in enumerate(drawn) for _ in rows]
+        duration, factor, start = np.concatenate(drawn).T
+        duration, factor = between(self.duration, duration), log_between(self.factor, factor)
+        start = place_start(self.start, duration, draft.time, start)
+        windows = draft.windows(self.label, start, duration, episode)
+        bursts = zip(windows, factor.tolist(), strict=True)
+        for i, own in groupby(bursts, key=lambda burst: burst[0][0]):
+            _raise(draft.noise_factor[i], [(window, factor) for (_, window), factor in own])
 
 
 @dataclass(frozen=True)
-class SignalLoss:
+class SignalLoss(Together):
     """A gap in which nothing arrives.
 
     Attributes:
@@ -158,14 +105,16 @@ class SignalLoss:
         check_range(self, "duration")
         check_start(self)
 
-    def apply(self, draft: Draft, rng: Generator) -> None:
-        duration = uniform(rng, self.duration)
-        start = draw_start(self.start, duration, draft, rng)
-        draft.available[draft.window(self.label, start, duration)] = False
+    def apply_all(self, draft: Draft, rngs: Sequence[Generator]) -> None:
+        duration, start = Draws(rngs, 2).left.T
+        duration = between(self.duration, duration)
+        start = place_start(self.start, duration, draft.time, start)
+        for i, window in draft.windows(self.label, start, duration):
+            draft.available[i, window] = False
 
 
 @dataclass(frozen=True)
-class Glint:
+class Glint(Together):
     """Outliers: single measurements whose noise is a multiple of the usual.
 
     Attributes:
@@ -187,16 +136,16 @@ class Glint:
         if not is_number(self.factor) or self.factor <= 0.0:
             raise ValueError(f"Glint.factor must be positive, got {self.factor!r}.")
 
-    def apply(self, draft: Draft, rng: Generator) -> None:
-        present = rng.random() < self.probability
-        hit = rng.random(len(draft.time)) < self.fraction
-        if present:
-            draft.noise_factor[hit] *= self.factor
-            draft.throughout(self.label)
+    def apply_all(self, draft: Draft, rngs: Sequence[Generator]) -> None:
+        drawn = Draws(rngs, 1 + len(draft.time)).left
+        present = drawn[:, 0] < self.probability
+        hit = (drawn[:, 1:] < self.fraction) & present[:, None]
+        draft.noise_factor[hit] *= self.factor
+        draft.each_throughout(self.label, present.tolist())
 
 
 @dataclass(frozen=True)
-class NoiseMisreport:
+class NoiseMisreport(Together):
     """A sensor that tells the filter a wrong noise level, each channel its own.
 
     Attributes:
@@ -209,10 +158,12 @@ class NoiseMisreport:
     def __post_init__(self) -> None:
         check_range(self, "factor")
 
-    def apply(self, draft: Draft, rng: Generator) -> None:
-        low, high = np.log(self.factor)
-        draft.told_factor *= np.exp(rng.uniform(low, high, draft.told_factor.shape[1]))
-        draft.throughout(self.label)
+    def apply_all(self, draft: Draft, rngs: Sequence[Generator]) -> None:
+        channels = draft.told_factor.shape[-1]
+        factor = log_between(self.factor, Draws(rngs, channels).left)
+        for channel in range(channels):  # rows of few channels would take longer
+            draft.told_factor[..., channel] *= factor[:, channel, None]
+        draft.each_throughout(self.label)
 
 
 FAULTS: dict[str, type] = {
@@ -309,14 +260,57 @@ def check_start(fault: object) -> None:
         )
 
 
+def apply_all(faults: Sequence[Fault], draft: Draft, rngs: Sequence[Generator]) -> None:
+    """Apply faults in turn to the draft of many episodes."""
+    for together, some in groupby(faults, key=_spoils_all):
+        some = tuple(some)
+        if together:
+            for fault in some:
+                fault.apply_all(draft, rngs)
+        else:
+            for one, rng in zip(draft.episodes(), rngs, strict=True):
+                for fault in some:
+                    fault.apply(one, rng)
+
+
+def _spoils_all(fault: Fault) -> bool:
+    """Not one derived from such a fault that has an `apply` of its own."""
+    return getattr(type(fault), "apply", None) is Together.apply
+
+
+def _raise(noise_factor: Array, bursts: Sequence[tuple[slice, float]]) -> None:
+    """Raise an episode's noise in bursts, where they overlap by the greatest factor."""
+    ends = sorted(end for window, _ in bursts for end in (window.start, window.stop))
+    for begin, end in pairwise(ends):
+        raised = [factor for window, factor in bursts if window.start <= begin < window.stop]
+        noise_factor[begin:end] *= max(1.0, *raised, 1.0)
+
+
+def between(bounds: Range, drawn: Array | float) -> Array | float:
+    """Numbers between the bounds from ones between 0 and 1."""
+    return bounds[0] + (bounds[1] - bounds[0]) * drawn
+
+
+def log_between(bounds: Range, drawn: Array | float) -> Array | float:
+    """Numbers between the bounds, their logarithms from ones between 0 and 1."""
+    return np.exp(between(np.log(bounds), drawn))
+
+
+def place_start(start: float | None, duration: Array, time: Array, drawn: Array) -> Array:
+    """The start given, or one that leaves room for each duration, from ones between 0 and 1."""
+    if start is not None:
+        return np.full(len(drawn), float(start))
+    return between((time[0], np.maximum(time[-1] - duration, time[0])), drawn)
+
+
 def uniform(rng: Generator, bounds: Range) -> float:
     """A number between the bounds: ``rng.uniform``, which takes ten times as long for one."""
-    return bounds[0] + (bounds[1] - bounds[0]) * rng.random()
+    return between(bounds, rng.random())
 
 
 def log_uniform(rng: Generator, bounds: Range) -> float:
     """A number between the bounds, its logarithm uniform."""
-    return float(np.exp(uniform(rng, (np.log(bounds[0]), np.log(bounds[1])))))
+    return float(log_between(bounds, rng.random()))
 
 
 def draw_start(start: float | None, duration: float, draft: Draft, rng: Generator) -> float:

@@ -17,16 +17,19 @@ from kfenv.checks import is_number
 from kfenv.models.model import Motion, Sensor
 from kfenv.models.namespaces import batch
 from kfenv.models.yardstick import Yardstick
+from kfenv.scenarios.draft import Draft
 from kfenv.scenarios.draws import normal
-from kfenv.scenarios.faults import FAULTS, Draft, Fault, resolve_faults
-from kfenv.scenarios.recording import FaultInterval, Recording, Whole, stack
+from kfenv.scenarios.faults import FAULTS, Fault, apply_all, resolve_faults
+from kfenv.scenarios.recording import Recording, Whole, stack
 
 Array = NDArray[np.float64]
 
 MAX_RATE = 100.0  # Hz
 MIN_RATE = 1.0  # Hz: the motion models take steps of up to a second
 MOST_INSTANTS = 1_000_000  # of an episode, which is held whole
-AT_ONCE = 16  # episodes drawn together: more would not stay in a processor's cache
+# Instants drawn together: more would not stay in a processor's cache
+AT_ONCE = 20_000
+LEAST_AT_ONCE = 4  # episodes
 
 # Once glibc has freed an array of almost 32 MiB, it keeps twice as much of what is freed later.
 # Otherwise it gives back what episodes were drawn in, and asks for it anew page by page.
@@ -156,8 +159,13 @@ class TrackingScenario(ABC):
 
     def sample(self, rngs: Sequence[Generator]) -> Recording:
         """Draw one episode from each generator."""
-        parts = range(0, len(rngs), AT_ONCE)
-        return stack([self.episodes(rngs[i : i + AT_ONCE]) for i in parts])
+        many = self.at_once
+        return stack([self.episodes(rngs[i : i + many]) for i in range(0, len(rngs), many)])
+
+    @property
+    def at_once(self) -> int:
+        """How many episodes are drawn together."""
+        return max(LEAST_AT_ONCE, AT_ONCE // len(self.time))
 
     def recorded(self, split: str, episodes: int) -> Recording | None:
         """At most so many episodes of a real log that are kept for a split; None if drawn."""
@@ -193,8 +201,7 @@ class TrackingScenario(ABC):
 
     def measured(self, truth: Array, draft: Draft, rngs: Sequence[Generator]) -> Recording:
         """The episodes of truths (B, T, n) and their clean drafts: faults, noise, estimate."""
-        each = zip(draft.episodes(), rngs, strict=True)
-        faults = tuple(self._spoiled(one, rng) for one, rng in each)
+        self._spoil_all(draft, rngs)
         true_noise, told_noise = self.deviations(draft)
         true_noise, told_noise = true_noise * draft.noise_factor, told_noise * draft.told_factor
         measurement = draft.exact + true_noise * normal(rngs, true_noise.shape[1:])
@@ -213,7 +220,7 @@ class TrackingScenario(ABC):
             truth=truth,
             true_noise=true_noise,
             true_bias=draft.bias,
-            faults=faults,
+            faults=tuple(map(tuple, draft.intervals)),
         )
 
     @abstractmethod
@@ -244,15 +251,21 @@ class TrackingScenario(ABC):
         """One episode before its faults, of the truth (T, n)."""
         return next(self.drafts(truth[None], [rng]).episodes())
 
-    def _spoiled(self, draft: Draft, rng: Generator) -> tuple[FaultInterval, ...]:
-        """Spoil an episode, and return what happened when."""
-        self.spoil(draft, rng)
-        return tuple(draft.intervals)
+    def _spoil_all(self, draft: Draft, rngs: Sequence[Generator]) -> None:
+        if type(self).spoil is TrackingScenario.spoil:
+            apply_all(self._faults, draft, rngs)
+            return
+        for one, rng in zip(draft.episodes(), rngs, strict=True):
+            self.spoil(one, rng)
 
     def spoil(self, draft: Draft, rng: Generator) -> None:
-        """Apply the faults in turn to one episode."""
-        for fault in resolve_faults(self.faults, self.presets, self.known_faults):
+        """Apply the faults in turn to one episode; a subclass may do something else."""
+        for fault in self._faults:
             fault.apply(draft, rng)
+
+    @cached_property
+    def _faults(self) -> tuple[Fault, ...]:
+        return resolve_faults(self.faults, self.presets, self.known_faults)
 
     def initial_means(self, start: Array, rngs: Sequence[Generator]) -> Array:
         """Initial estimates (B, n), drawn about the truths (B, n) at the first instant."""

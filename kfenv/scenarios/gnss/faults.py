@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -11,16 +12,21 @@ from numpy.typing import NDArray
 
 from kfenv.checks import is_number
 from kfenv.models.gnss.pseudorange import CHANNELS
+from kfenv.scenarios.draft import Draft
+from kfenv.scenarios.draws import Draws
 from kfenv.scenarios.faults import (
     FAULTS,
-    Draft,
     NoiseMisreport,
     Range,
     SignalLoss,
+    Together,
+    between,
     check_range,
     check_start,
     draw_start,
+    log_between,
     log_uniform,
+    place_start,
     uniform,
 )
 
@@ -44,7 +50,7 @@ class GnssDraft(Draft):
 
 
 @dataclass(frozen=True)
-class ClockDegradation:
+class ClockDegradation(Together):
     """The receiver's clock jitters: a white error common to all satellites, unknown to the filter.
 
     The rates get a thirtieth of it per second, an error of their own draw. S0 tells no
@@ -66,12 +72,18 @@ class ClockDegradation:
         check_range(self, "range_error")
         check_start(self)
 
-    def apply(self, draft: GnssDraft, rng: Generator) -> None:
-        duration = uniform(rng, self.duration)
-        deviation = log_uniform(rng, self.range_error) * np.array([1.0, RATE_SHARE])
-        inside = draft.window(self.label, draw_start(self.start, duration, draft, rng), duration)
-        error = deviation * rng.standard_normal((len(draft.time), 2))
-        draft.exact[inside] += np.repeat(error[inside], CHANNELS, axis=1)
+    def apply_all(self, draft: GnssDraft, rngs: Sequence[Generator]) -> None:
+        drawn, error = [], []
+        for rng in rngs:
+            drawn.append(rng.random(3))
+            error.append(rng.standard_normal((len(draft.time), 2)))
+        duration, deviation, start = np.transpose(drawn)
+        duration = between(self.duration, duration)
+        deviation = log_between(self.range_error, deviation)[:, None] * [1.0, RATE_SHARE]
+        start = place_start(self.start, duration, draft.time, start)
+        for i, window in draft.windows(self.label, start, duration):
+            jitter = deviation[i] * error[i][window]
+            draft.exact[i, window] += np.repeat(jitter, CHANNELS, axis=1)
 
 
 @dataclass(frozen=True)
@@ -105,7 +117,7 @@ class RangeStep:
 
     def apply(self, draft: GnssDraft, rng: Generator) -> None:
         duration = uniform(rng, self.duration)
-        size = log_uniform(rng, self.size) * rng.choice((-1.0, 1.0))
+        size = log_uniform(rng, self.size) * (-1.0, 1.0)[rng.integers(2)]
         inside = draft.window(self.label, draw_start(self.start, duration, draft, rng), duration)
         victim = _one_satellite(draft, inside, rng)
         draft.misplace(inside, RANGES, np.where(victim, size, 0.0))
@@ -135,7 +147,7 @@ class RangeRamp:
 
     def apply(self, draft: GnssDraft, rng: Generator) -> None:
         duration = uniform(rng, self.duration)
-        rate = log_uniform(rng, self.rate) * rng.choice((-1.0, 1.0))
+        rate = log_uniform(rng, self.rate) * (-1.0, 1.0)[rng.integers(2)]
         start = draw_start(self.start, duration, draft, rng)
         inside = draft.window(self.label, start, duration)
         victim = _one_satellite(draft, inside, rng)
@@ -145,7 +157,7 @@ class RangeRamp:
 
 
 @dataclass(frozen=True)
-class MultipathBurst:
+class MultipathBurst(Together):
     """Reflections raise the pseudorange noise of low satellites, unknown to the filter.
 
     Attributes:
@@ -171,12 +183,13 @@ class MultipathBurst:
                 f"got {self.below!r}."
             )
 
-    def apply(self, draft: GnssDraft, rng: Generator) -> None:
-        duration = uniform(rng, self.duration)
-        factor = log_uniform(rng, self.factor)
-        inside = draft.window(self.label, draw_start(self.start, duration, draft, rng), duration)
-        low = draft.elevation[inside] < np.radians(self.below)
-        draft.noise_factor[inside, :CHANNELS][low] *= factor
+    def apply_all(self, draft: GnssDraft, rngs: Sequence[Generator]) -> None:
+        duration, factor, start = Draws(rngs, 3).left.T
+        duration, factor = between(self.duration, duration), log_between(self.factor, factor)
+        start = place_start(self.start, duration, draft.time, start)
+        for i, window in draft.windows(self.label, start, duration):
+            low = draft.elevation[i, window] < np.radians(self.below)
+            draft.noise_factor[i, window, :CHANNELS][low] *= factor[i]
 
 
 @dataclass(frozen=True)
@@ -187,10 +200,10 @@ class ReceiverMisreport(NoiseMisreport):
         factor: range of told over actual standard deviation, drawn log-uniformly.
     """
 
-    def apply(self, draft: GnssDraft, rng: Generator) -> None:
-        factors = [log_uniform(rng, self.factor) for _ in range(2)]
-        draft.told_factor *= np.repeat(factors, CHANNELS)
-        draft.throughout(self.label)
+    def apply_all(self, draft: GnssDraft, rngs: Sequence[Generator]) -> None:
+        factors = log_between(self.factor, Draws(rngs, 2).left)
+        draft.told_factor *= np.repeat(factors, CHANNELS, axis=1)[:, None]
+        draft.each_throughout(self.label)
 
 
 def _one_satellite(draft: GnssDraft, inside: slice, rng: Generator) -> NDArray[np.bool_]:

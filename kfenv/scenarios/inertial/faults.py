@@ -151,7 +151,7 @@ class InertialStep:
         present = rng.random() < self.probability
         size, duration = uniform(rng, self.size), uniform(rng, self.duration)
         start = draw_start(self.start, duration, draft, rng)
-        axis, sign = rng.integers(3), rng.choice([-1.0, 1.0])
+        axis, sign = rng.integers(3), (-1.0, 1.0)[rng.integers(2)]
         if not present:
             return
         window = draft.window(self.label, start, duration)

@@ -18,7 +18,9 @@ from kfenv.models.model import Sensor
 from kfenv.models.phased_array import PhasedArray, rain_transmission
 from kfenv.models.radar import radar
 from kfenv.scenarios import tracks
-from kfenv.scenarios.faults import Draft, Range, check_range, check_start, uniform
+from kfenv.scenarios.draft import Draft
+from kfenv.scenarios.draws import Draws
+from kfenv.scenarios.faults import Range, Together, between, check_range, check_start
 from kfenv.scenarios.radar.plotted import PlotFiles, Plotted
 from kfenv.scenarios.tracks import LONGEST_GAP, check_track
 from kfenv.scenarios.trajectories import paper_trajectory
@@ -42,7 +44,7 @@ class RadarDraft(Draft):
 
 
 @dataclass(frozen=True)
-class Rain:
+class Rain(Together):
     """Rain over the whole area; it weakens the echo and the radar knows.
 
     Attributes:
@@ -55,11 +57,12 @@ class Rain:
     def __post_init__(self) -> None:
         check_range(self, "rate", lowest=0)
 
-    def apply(self, draft: RadarDraft, rng: Generator) -> None:
-        transmission = rain_transmission(draft.exact[:, 0], uniform(rng, self.rate))
+    def apply_all(self, draft: RadarDraft, rngs: Sequence[Generator]) -> None:
+        rate = between(self.rate, Draws(rngs, 1).left)
+        transmission = rain_transmission(draft.exact[..., 0], rate)
         draft.snr *= transmission
         draft.told_snr *= transmission
-        draft.throughout(self.label)
+        draft.each_throughout(self.label)
 
 
 @dataclass(frozen=True)
