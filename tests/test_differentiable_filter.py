@@ -45,7 +45,7 @@ def tensors(*arrays):
 def initial(mean, factor):
     """The first instant has no prediction: `predict`'s result in its place."""
     covariance = factor @ factor.mT
-    failed = torch.zeros(len(mean), dtype=torch.bool)
+    failed = torch.zeros(len(mean), dtype=torch.bool, device=mean.device)
     return Predicted(mean, covariance, torch.zeros_like(covariance), failed)
 
 
@@ -130,7 +130,7 @@ def test_many_steps_alone_across_the_seam_of_angles(name, kappa, steps, how):
         assert_same(*step, motion)
 
 
-def opening(case, offsets, knobs, steps):
+def opening(case, offsets, knobs, steps, device="cpu"):
     """Our filter's posteriors of the first instants of a case.
 
     Args:
@@ -139,8 +139,8 @@ def opening(case, offsets, knobs, steps):
     """
     name = "variable turn, radar" if case.mean.shape[1] == 9 else "robot, beacon"
     motion, sensor, _ = PAIRS[name]
-    ours = DifferentiableFilter(motion, sensor)
-    mean, factor, _, u, s, z, sd = tensors(*case[:7])
+    ours = DifferentiableFilter(motion, sensor, device=device)
+    mean, factor, _, u, s, z, sd = (array.to(device) for array in tensors(*case[:7]))
     predicted = initial(mean + (factor @ offsets[:, :, None])[:, :, 0], factor)
     posterior = predicted
     fading, process_scale, *noise = knobs.exp().unbind(1)
@@ -181,6 +181,20 @@ def test_gradients_are_the_slopes(make_case):
 
     how = {"eps": 1e-5, "atol": 1e-6, "rtol": 1e-5, "check_undefined_grad": False}
     assert torch.autograd.gradcheck(outputs, leaves(case), **how)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a graphics processor")
+@pytest.mark.parametrize("make_case", [radar_case, robot_case])
+def test_a_graphics_processor_finds_the_same_and_its_gradients(make_case):
+    case, found = make_case(batch=64, steps=100), {}
+    for device in ("cpu", "cuda"):
+        offsets, knobs = (leaf.detach().to(device).requires_grad_() for leaf in leaves(case))
+        *_, last = opening(case, offsets, knobs, 100, device)
+        assert not last.failed.any()
+        slopes = torch.autograd.grad(last.mean.sum(), (offsets, knobs))
+        found[device] = [part.detach().cpu() for part in (*last[:4], *slopes)]
+    for here, there in zip(found["cpu"], found["cuda"], strict=True):
+        torch.testing.assert_close(there, here, rtol=1e-9, atol=1e-9 * float(here.abs().max()))
 
 
 def test_a_batch_where_nothing_arrives_is_predicted():
