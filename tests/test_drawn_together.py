@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kfenv.models.constant_acceleration import constant_acceleration
 from kfenv.scenarios import scenario as drawing
 from kfenv.scenarios.faults import Glint, Jamming, SignalLoss
 from kfenv.scenarios.gnss.tracking import GnssTracking
@@ -16,6 +17,7 @@ from kfenv.scenarios.radar.bistatic import BistaticTracking
 from kfenv.scenarios.radar.tracking import RadarTracking
 from kfenv.scenarios.radar.validation import RadarValidation
 from kfenv.scenarios.recording import Recording
+from kfenv.scenarios.trajectories import accelerated_flights, drawn_trajectory
 
 SHORT = {
     "RadarTracking": RadarTracking(duration=30.0),
@@ -134,3 +136,11 @@ def test_a_scenario_that_draws_one_at_a_time_is_refused():
         class Mine(RadarValidation):
             def trajectory(self, rng):
                 return np.zeros((len(self.time), 9))
+
+
+def test_accelerated_flights_are_those_of_the_step_by_step_simulation():
+    motion, start = constant_acceleration(0.7), np.linspace(-40.0, 60.0, 9)
+    time = np.arange(31) / 7.0
+    together = accelerated_flights(generators(range(3)), motion, start, time)
+    for flight, rng in zip(together, generators(range(3)), strict=True):
+        assert flight.tobytes() == drawn_trajectory(rng, motion, start, time).tobytes()

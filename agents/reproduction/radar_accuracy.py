@@ -10,7 +10,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from kfenv.scenarios.radar.validation import RadarValidation
-from kfenv.scenarios.trajectories import drawn_trajectory, paper_trajectory
+from kfenv.scenarios.trajectories import accelerated_flights, paper_trajectory
 
 from . import figures
 from .bounds import bound, over_bound
@@ -47,7 +47,7 @@ class DrawnFlights(RadarValidation):
     def trajectories(self, rngs: Sequence[Generator]) -> Array:
         """Truth (B, T, 9)."""
         start = paper_trajectory("A", self.time[:2])[0]
-        return np.stack([drawn_trajectory(rng, self.motion, start, self.time) for rng in rngs])
+        return accelerated_flights(rngs, self.motion, start, self.time)
 
 
 def accuracy(study: Study, outcomes: dict[str, Outcome], name: str) -> list[Claim]:

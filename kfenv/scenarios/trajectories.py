@@ -18,7 +18,7 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from kfenv.models.model import Motion
-from kfenv.models.namespaces import scalar
+from kfenv.models.namespaces import batch, scalar
 from kfenv.names import unknown
 from kfenv.scenarios.coverage import (
     CHECK_STEP,
@@ -28,7 +28,7 @@ from kfenv.scenarios.coverage import (
     places,
     turn,
 )
-from kfenv.scenarios.draws import Draws
+from kfenv.scenarios.draws import Draws, normal
 from kfenv.scenarios.flight import INNER_STEP, Commands, Flights
 
 Array = NDArray[np.float64]
@@ -162,6 +162,40 @@ def drawn_trajectory(
         truth[k + 1] = model.step(state, known, dt) + factor @ noise[k]
     truth[:, angles] -= 2.0 * np.pi * np.floor(truth[:, angles] / (2.0 * np.pi) + 0.5)
     return truth
+
+
+def accelerated_flights(
+    rngs: Sequence[Generator], motion: Motion, start: Array, time: Array
+) -> Array:
+    """Flights (B, T, 9) of `constant_acceleration`: the bits of `drawn_trajectory`, all at once.
+
+    Args:
+        rngs: where the noise of each comes from.
+        motion: that model.
+        start: (9,) their state at the first time.
+        time: (T,) increasing, s.
+    """
+    dt = np.diff(time)
+    entries = motion.build(batch).noise_factor((np.zeros(dt.size),) * 9, (), dt)
+    rows, columns = np.transpose(motion.noise_pattern)
+    factor = np.zeros((dt.size, 9, 9))
+    factor[:, rows, columns] = np.transpose(entries)
+    noise = (factor @ normal(rngs, (dt.size, 9))[..., None])[..., 0]
+    dt, half = dt[:, None], (0.5 * dt * dt)[:, None]
+    acceleration = _summed(start[2::3], noise[..., 2::3])
+    velocity = _summed(start[1::3], dt * acceleration[:, :-1], noise[..., 1::3])
+    way = dt * velocity[:, :-1], half * acceleration[:, :-1]
+    position = _summed(start[::3], *way, noise[..., ::3])
+    flights = np.stack((position, velocity, acceleration), axis=-1)
+    return flights.reshape(*flights.shape[:2], 9)
+
+
+def _summed(start: Array, *terms: Array) -> Array:
+    """Sums (B, T, 3) of terms (B, T - 1, 3) added in turn, from the start (3,) on."""
+    steps = np.stack(terms, axis=2)
+    begin = np.broadcast_to(start, (len(steps), 1, 3))
+    values = np.concatenate([begin, steps.reshape(len(steps), -1, 3)], axis=1)
+    return np.cumsum(values, axis=1)[:, :: len(terms)]
 
 
 def random_trajectory(rng: Generator, time: ArrayLike, flights: str = "manoeuvring") -> Array:

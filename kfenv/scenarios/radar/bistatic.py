@@ -17,7 +17,7 @@ from kfenv.models.model import Motion, Sensor
 from kfenv.models.position import position
 from kfenv.scenarios.faults import Draft, Fault, Glint, Jamming, NoiseMisreport, SignalLoss
 from kfenv.scenarios.radar.plotted import PlotFiles, Plotted
-from kfenv.scenarios.trajectories import drawn_trajectory
+from kfenv.scenarios.trajectories import accelerated_flights
 
 Array = NDArray[np.float64]
 
@@ -70,8 +70,7 @@ class BistaticTracking(Plotted):
 
     def trajectories(self, rngs: Sequence[Generator]) -> Array:
         """From rest at the origin, driven by the model's own discrete noise."""
-        start = np.zeros(9)
-        return np.stack([drawn_trajectory(rng, self.motion, start, self.time) for rng in rngs])
+        return accelerated_flights(rngs, self.motion, np.zeros(9), self.time)
 
     def deviations(self, draft: Draft) -> tuple[Array, Array]:
         """The same at every time, and told as it is."""
