@@ -25,6 +25,8 @@ from kfenv.agents.learning.teaching.training import teach
 from kfenv.agents.learning.teaching.worlds import TRAINING, build_world, bundled_worlds
 from rollouts import GNSS, OWN
 
+from kfenv.models.own import own_motion
+
 ENV = "kfenv/RadarTracking-v0"
 KWARGS = {"rate": 2.0, "duration": 20.0}
 FULL = KWARGS | {"observation": "full"}
@@ -89,6 +91,21 @@ def test_through_the_filter_runs_what_the_environment_ran(calm, rolled):
     np.testing.assert_allclose(mean[kept], told.squared_error[kept], rtol=1e-4)
 
 
+def test_the_knob_of_a_single_state_is_turned_once():
+    states = pendulum.ANGLE, replace(pendulum.RATE, group="drive")
+    motion = own_motion(states, pendulum.swing, Q=(0.0, 1e-3))
+    kwargs = pendulum.MODEL | pendulum.WORLD | {"duration": 1.0, "motion": motion}
+    part = build_world(OWN, kwargs | {"observation": "full"}, None)[0]
+    network = _network(part)
+    told = roll(network, part, part.draw(0, 0, 4), keep=(0, 8))
+    logs, _ = network(torch.from_numpy(told.observations), network.start(4))
+    refinery = _refinery(part)
+    factors = refinery._factors(told, logs.double())
+    assert factors.shape[2] == 5 and (factors[:, :, 3] != 1.0).all()
+    whole, rest = refinery._run(told, 0, factors)[0], refinery._run(told, 8, factors[8:])[0]
+    torch.testing.assert_close(rest, whole[8:], rtol=1e-4, atol=0.0)
+
+
 @pytest.mark.parametrize("consistency", [0.0, 0.5])
 def test_gradient_through_the_filter_is_that_of_finite_differences(calm, rolled, consistency):
     network, told = rolled
@@ -114,7 +131,7 @@ def _without_detached(refinery, network, chunk, consistency):
         return refinery.loss(network, chunk).item()
     told, fixed = chunk.roll, _refinery_errors
     original = refinery._nees
-    refinery._nees = lambda off, covariance: original(next(fixed.replay), covariance)
+    refinery._nees = lambda off, *state: original(next(fixed.replay), *state)
     fixed.replay = iter(fixed.errors(refinery, told, chunk))
     try:
         return refinery.loss(network, chunk).item()
@@ -143,9 +160,9 @@ def _unperturbed(request):
     refinery, kept = _refinery(part, 0.5), []
     original = refinery._nees
 
-    def keep(off, covariance):
+    def keep(off, *state):
         kept.append(off)
-        return original(off, covariance)
+        return original(off, *state)
 
     refinery._nees = keep
     with torch.no_grad():

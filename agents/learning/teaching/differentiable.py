@@ -1,4 +1,7 @@
-"""The engine's filter in torch, for training through it: every output has a gradient.
+"""The engine's filter in torch, every output with a gradient: the reference of `gradients`.
+
+It goes where torch goes, and any loss may be taken of what it tells; refinement takes the
+compiled sweep, which is many times as fast.
 
 It is the sigma-point filter of SPEC section 9 with the exact Joseph form, held in covariances:
 a gradient through a Cholesky factorisation costs less than one through a triangularisation.

@@ -50,21 +50,23 @@ class Roll:
     valid: NDArray[np.bool_]
 
 
-class Tape:
-    """A filter that keeps the prediction which its next update begins with."""
+class Watched:
+    """A filter that tells from which prediction the pending innovation was formed.
+
+    Attributes:
+        prediction: with the process noise as it is before knobs of single states turn it.
+    """
 
     def __init__(self, filter: Any) -> None:
-        self._filter, self.wanted, self.latest = filter, False, None
+        self._filter, self.prediction = filter, None
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._filter, name)
 
-    def update(self, prediction: Prediction, *rest: Any) -> Update:
+    def innovate(self, prediction: Prediction, *rest: Any) -> Update:
         """As the filter's."""
-        if self.wanted:
-            self.latest = Prediction(*(array.copy() for array in prediction))
-            self.wanted = False
-        return self._filter.update(prediction, *rest)
+        self.prediction = prediction
+        return self._filter.innovate(prediction, *rest)
 
 
 def roll(
@@ -85,7 +87,7 @@ def roll(
     """
     options = replace(part.options, recording=recording, reward="rmse")
     core = Core(part.scenario, options, len(recording), recording.time, has_truth=True)
-    core.filter = tape = Tape(core.filter)
+    core.filter = watched = Watched(core.filter)
     core.load(np.arange(len(recording)), recording)
     if teacher is not None:
         shown = recording if teacher.clairvoyant else None
@@ -108,10 +110,8 @@ def roll(
             rng, deviation = jitter
             logs = labels[-1] + deviation * rng.standard_normal(labels[-1].shape)
         if len(on) - 1 in keep:
-            tape.wanted = True
+            predictions[len(on) - 1] = Prediction(*(part.copy() for part in watched.prediction))
         _, lost, ended = core.step(actions_for(np.exp(logs), core.knobs), running)
-        if len(on) - 1 in keep:
-            predictions[len(on) - 1] = tape.latest
         running = running & ~(lost | ended)
     stacked = np.array(labels, np.float32) if labels else np.zeros((len(on), 0, 0), np.float32)
     valid = _valid(core, recording, teacher, np.array(on)) if labels else stacked.astype(bool)

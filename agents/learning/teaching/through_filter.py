@@ -20,7 +20,7 @@ from kfenv.filters.protocol import elapsed
 from kfenv.scenarios.recording import Recording
 
 from ..channelwise import Network
-from .differentiable import DifferentiableFilter, Posterior, Predicted
+from .gradients.filtering import FilterWithGradient, Series
 from .rolling import Roll
 from .scored import ScoredTensors
 
@@ -45,7 +45,7 @@ def chunks(decisions: int, length: int, first: int) -> list[tuple[int, int]]:
 
 
 class Refinery:
-    """The differentiable filter of a scenario, and the loss of a chunk.
+    """The filter of a scenario with its gradient, and the loss of a chunk.
 
     Args:
         scenario: gives motion, sensor, what is scored and its scale.
@@ -58,12 +58,14 @@ class Refinery:
         self, scenario: Any, kappa: float, consistency: float, largest_error: float
     ) -> None:
         motion, sensor = scenario.motion, scenario.sensor
-        self.filter = DifferentiableFilter(motion, sensor, kappa)
+        self.filter = FilterWithGradient(motion, sensor, kappa)
         self._consistency, self._largest = consistency, largest_error * scenario.error_scale
         self._least = rewards.least_square(scenario.error_scale)
         self._scored = ScoredTensors(scenario.yardstick)
         self._group = torch.tensor(sensor.group_of_channel)
-        self._states = places_of_states(motion, sensor.groups)
+        places = places_of_states(motion, sensor.groups)
+        self._states = torch.tensor(list(places), dtype=torch.long)
+        self._state_knobs = torch.tensor(list(places.values()), dtype=torch.long)
 
     def loss(self, network: Network, chunk: Chunk) -> torch.Tensor:
         """Mean over the chunk's instants of the robust log of the squared error.
@@ -96,57 +98,47 @@ class Refinery:
         self, roll: Roll, begin: int, factors: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Squared errors, NEES per axis and whether they count, each (instants, B)."""
-        core, recording = roll.core, roll.recording
-        channels = len(self._group)
-        noise = factors[:, :, 2 + self._group] * factors[:, :, -channels:]
-        mean, root, added = map(torch.from_numpy, roll.predictions[begin])
-        sound = torch.zeros(len(mean), dtype=torch.bool)
-        predicted = Predicted(mean, root @ root.mT, added @ added.mT, sound)
-        series = _Series(recording)
-        alive = torch.from_numpy(roll.running[begin])
-        errors, consistency, counts = [], [], []
-        last = recording.time.shape[-1] - 1
-        for step in range(len(factors) * core.interval):
-            decision, i = step // core.interval, begin * core.interval + step
-            alive = alive & torch.from_numpy(roll.running[begin + decision])
-            due = i % core.scenario.steps_per_measurement == 0
-            fading = factors[decision, :, 0] if due else torch.ones(len(mean), dtype=mean.dtype)
-            posterior = self.filter.update(
-                self._turned(predicted, factors[decision]), fading, factors[decision, :, 1],
-                series.sensor_inputs[:, i], series.measurement[:, i],
-                series.noise[:, i] * noise[decision],
-            )  # fmt: skip
-            alive = alive & ~posterior.failed
-            off = self._scored.off(posterior.mean, series.truth[:, i])
-            errors.append((off**2).sum(dim=1))
-            consistency.append(self._nees(off.detach(), posterior))
-            counts.append(torch.where(alive, series.scored[:, i], 0.0))
-            if i == last:
-                break
-            predicted = self.filter.predict(
-                posterior.mean, posterior.covariance, series.motion_inputs[:, i + 1],
-                series.dt[:, i + 1],
-            )  # fmt: skip
-            alive = alive & ~predicted.failed
-        return torch.stack(errors), torch.stack(consistency), torch.stack(counts)
-
-    def _turned(self, predicted: Predicted, factors: torch.Tensor) -> Predicted:
-        """See `kfenv.envs.statistics.apply_knobs`."""
-        if not self._states:
-            return predicted
-        columns = [
-            factors[:, self._states[i]].sqrt() if i in self._states else torch.ones_like(column)
-            for i, column in enumerate(predicted.mean.unbind(1))
-        ]
-        deviation = torch.stack(columns, dim=1)
-        return predicted._replace(
-            noise=predicted.noise * deviation[:, :, None] * deviation[:, None, :]
+        recording, interval = roll.recording, roll.core.interval
+        first = begin * interval
+        instants = slice(first, min(first + len(factors) * interval, recording.time.shape[-1]))
+        decision = np.arange(instants.stop - first) // interval
+        knobs, told = self._turned(roll, instants, factors[decision])
+        means, covariances, sound = self.filter.run(
+            roll.predictions[begin], _series(recording, instants), knobs, told
         )
+        alive = np.logical_and.accumulate(sound & roll.running[begin + decision], axis=0)
+        mean, covariance = means.flatten(0, 1), covariances.flatten(0, 1)
+        truth = torch.from_numpy(_time_first(recording.truth, instants)).flatten(0, 1)
+        off = self._scored.off(mean, truth)
+        nees = self._nees(off.detach(), mean, covariance)
+        known = recording.scored
+        scored = alive.astype(float) if known is None else alive * _time_first(known, instants)
+        error = (off**2).sum(dim=1)
+        return error.view(alive.shape), nees.view(alive.shape), torch.from_numpy(scored)
 
-    def _nees(self, off: torch.Tensor, posterior: Posterior) -> torch.Tensor:
+    def _turned(
+        self, roll: Roll, instants: slice, factors: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Knobs (T, B, 2 + n) and deviations (T, B, m) of the noise told at each instant.
+
+        See `kfenv.envs.statistics.apply_knobs`.
+        """
+        scenario, channels = roll.core.scenario, len(self._group)
+        due = torch.arange(instants.start, instants.stop) % scenario.steps_per_measurement == 0
+        fading = torch.where(due[:, None, None], factors[:, :, :1], 1.0)
+        deviations = torch.ones(*factors.shape[:2], len(scenario.motion.states)).double()
+        turned = factors[:, :, self._state_knobs].sqrt()
+        deviations = deviations.index_copy(2, self._states, turned)
+        noise = torch.from_numpy(_time_first(roll.recording.noise, instants))
+        told = noise * factors[:, :, 2 + self._group] * factors[:, :, -channels:]
+        return torch.cat([fading, factors[:, :, 1:2], deviations], dim=2), told
+
+    def _nees(
+        self, off: torch.Tensor, mean: torch.Tensor, covariance: torch.Tensor
+    ) -> torch.Tensor:
         if not self._consistency:
             return torch.zeros(len(off), dtype=off.dtype)
-        return self._scored.nees(off, posterior.mean, posterior.covariance)
+        return self._scored.nees(off, mean, covariance)
 
 
 def no_lane_rules(gradient: torch.Tensor) -> torch.Tensor:
@@ -167,20 +159,14 @@ def no_lane_rules(gradient: torch.Tensor) -> torch.Tensor:
     return torch.nan_to_num(gradient, 0.0, 0.0, 0.0) * share[:, None]
 
 
-class _Series:
-    """A recording's arrays as tensors."""
+def _series(recording: Recording, instants: slice) -> Series:
+    given = recording.measurement, recording.sensor_inputs, recording.motion_inputs
+    return Series(*(_time_first(array, instants) for array in (*given, elapsed(recording))))
 
-    def __init__(self, recording: Recording) -> None:
-        def tensor(array: np.ndarray) -> torch.Tensor:
-            return torch.from_numpy(np.array(array))
 
-        self.measurement, self.noise = tensor(recording.measurement), tensor(recording.noise)
-        self.sensor_inputs = tensor(recording.sensor_inputs)
-        self.motion_inputs = tensor(recording.motion_inputs)
-        self.truth = tensor(recording.truth)
-        self.dt = tensor(elapsed(recording))
-        known = recording.scored
-        self.scored = tensor(np.ones(recording.truth.shape[:2]) if known is None else known)
+def _time_first(array: np.ndarray, instants: slice) -> np.ndarray:
+    """Some instants of an array (B, T, ...), as (T, B, ...)."""
+    return np.ascontiguousarray(array[:, instants].swapaxes(0, 1))
 
 
 def _inconsistency(nees: torch.Tensor, counts: torch.Tensor) -> torch.Tensor:
