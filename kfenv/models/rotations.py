@@ -123,8 +123,9 @@ def logarithm(C: ArrayLike) -> Array:
         [C[..., 2, 1] - C[..., 1, 2], C[..., 0, 2] - C[..., 2, 0], C[..., 1, 0] - C[..., 0, 1]],
         axis=-1,
     )
-    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
-    cosine = 0.5 * (np.trace(C, axis1=-2, axis2=-1)[..., None] - 1.0)
+    x, y, z = np.moveaxis(axis, -1, 0)
+    sine = np.sqrt(x * x + y * y + z * z)[..., None]
+    cosine = 0.5 * (C[..., 0, 0] + C[..., 1, 1] + C[..., 2, 2] - 1.0)[..., None]
     angle = np.arctan2(sine, cosine)
     return axis * np.divide(angle, sine, out=np.ones_like(sine), where=sine > 1e-9)
 

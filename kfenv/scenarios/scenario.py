@@ -6,7 +6,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from math import prod
 from typing import Any, ClassVar
 
 import numpy as np
@@ -204,11 +203,8 @@ class TrackingScenario(ABC):
         self._spoil_all(draft, rngs)
         true_noise, told_noise = self.deviations(draft)
         true_noise, told_noise = true_noise * draft.noise_factor, told_noise * draft.told_factor
-        measurement = draft.exact + true_noise * normal(rngs, true_noise.shape[1:])
-        for channel in self.circular:
-            angle = measurement[..., channel]
-            measurement[..., channel] = np.arctan2(np.sin(angle), np.cos(angle))
-        np.copyto(measurement, np.nan, where=~draft.available)
+        measurement = normal(rngs, true_noise.shape[1:])
+        self._measure_all(measurement, draft, true_noise)
         return Recording(
             time=self.time,
             measurement=measurement,
@@ -222,6 +218,19 @@ class TrackingScenario(ABC):
             true_bias=draft.bias,
             faults=tuple(map(tuple, draft.intervals)),
         )
+
+    def _measure_all(self, measurement: Array, draft: Draft, noise: Array) -> None:
+        """Make measurements (B, T, m) of standard normal numbers; NaN where nothing arrives."""
+        every = self.steps_per_measurement
+        seen = measurement[:, ::every]
+        seen *= noise[:, ::every]
+        seen += draft.exact[:, ::every]
+        for channel in self.circular:
+            angle = seen[..., channel]
+            np.arctan2(np.sin(angle), np.cos(angle), out=angle)
+        np.copyto(seen, np.nan, where=~draft.available[:, ::every])
+        for between in range(1, every):
+            measurement[:, between::every] = np.nan
 
     @abstractmethod
     def trajectories(self, rngs: Sequence[Generator]) -> Array:
@@ -290,6 +299,8 @@ class TrackingScenario(ABC):
     ) -> Draft:  # fmt: skip
         """A draft of that kind whose exact measurements are the sensor's of the truth.
 
+        Between the instants of measurements they are zero.
+
         Args:
             kind: `Draft`, or a class derived from it that takes `more`.
             truth: (..., T, n).
@@ -298,9 +309,11 @@ class TrackingScenario(ABC):
         none = np.empty((*truth.shape[:-1], 0))
         motion_inputs = none if motion_inputs is None else motion_inputs
         sensor_inputs = none if sensor_inputs is None else sensor_inputs
-        instants = prod(truth.shape[:-1])
-        x, s = (tuple(a.reshape(instants, a.shape[-1]).T) for a in (truth, sensor_inputs))
-        exact = np.stack(self._measure(x, s), axis=-1).reshape(*truth.shape[:-1], -1)
+        measured = ..., slice(None, None, self.steps_per_measurement), slice(None)
+        x, s = (np.moveaxis(a[measured], -1, 0).copy() for a in (truth, sensor_inputs))
+        exact = np.zeros((*truth.shape[:-1], len(self.sensor.channels)))
+        for channel, values in enumerate(self._measure(tuple(x), tuple(s))):
+            exact[measured][..., channel] = values
         return kind.clean(
             self.time, exact.shape[-1], exact=exact, motion_inputs=motion_inputs,
             sensor_inputs=sensor_inputs, **more,

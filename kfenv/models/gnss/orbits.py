@@ -115,6 +115,8 @@ class Constellation:
 
 def eccentric_anomaly(mean_anomaly: Array, eccentricity: Array) -> Array:
     """Solve Kepler's equation E - e sin E = M by Newton's method, to rounding for e < 0.1."""
+    if not np.any(eccentricity):  # of circles there is nothing to solve
+        return mean_anomaly
     eccentric = mean_anomaly + eccentricity * np.sin(mean_anomaly)
     for _ in range(3):
         residual = eccentric - eccentricity * np.sin(eccentric) - mean_anomaly
@@ -153,9 +155,13 @@ def earth_fixed(states: Array, place: tuple[float, float, float]) -> Array:
         place: latitude and longitude (deg) and height (m) of the frame's origin.
     """
     rotation = np.array(pymap3d.enu2uvw(*np.eye(3), place[0], place[1]))
-    turned = np.einsum("ij,tjd->tid", rotation, states.reshape(-1, 3, 3))
-    turned[:, :, 0] += pymap3d.geodetic2ecef(*place)
-    return turned.reshape(states.shape)
+    turned, origin = np.empty(states.shape), pymap3d.geodetic2ecef(*place)
+    for order in range(3):  # position, velocity, acceleration
+        east, north, up = (np.ascontiguousarray(states[..., 3 * i + order]) for i in range(3))
+        for axis, (x, y, z) in enumerate(rotation):
+            turned[..., 3 * axis + order] = x * east + y * north + z * up + 0.0  # nothing is -0
+    turned[..., ::3] += origin
+    return turned
 
 
 def gps_seconds(date: datetime) -> float:

@@ -209,7 +209,7 @@ class ReceiverMisreport(NoiseMisreport):
 def _one_satellite(draft: GnssDraft, inside: slice, rng: Generator) -> NDArray[np.bool_]:
     """Where (t, 12) a satellite, drawn from those in view at some time inside, is received."""
     satellite = draft.satellite[inside]
-    seen = np.unique(satellite[satellite >= 0])
+    seen = np.flatnonzero(np.bincount(satellite[satellite >= 0]))
     drawn = rng.random()  # drawn even if none is in view, so that what follows stays the same
     if not len(seen):
         return np.zeros(satellite.shape, bool)

@@ -297,19 +297,21 @@ class GnssTracking(TrackingScenario):
             local = np.tile(paper_trajectory("B", self.time), (len(rngs), 1, 1))
         else:
             local = random_trajectories(rngs, self.time)
-        clocks = np.stack([self._clock(rng) for rng in rngs])
-        return np.concatenate([earth_fixed(local, place), clocks], axis=-1)
+        return np.concatenate([earth_fixed(local, place), self._clocks(rngs)], axis=-1)
 
-    def _clock(self, rng: Generator) -> Array:
-        """Bias and drift (T, 2) of the receiver's clock: what `with_clock` assumes."""
+    def _clocks(self, rngs: Sequence[Generator]) -> Array:
+        """Bias and drift (B, T, 2) of the receivers' clocks: what `with_clock` assumes."""
         dt, steps = 1.0 / self.rate, len(self.time) - 1
         covariance = [[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]]
         root = np.linalg.cholesky(CLOCK_DENSITY * np.array(covariance))
-        first = np.array([CLOCK_OFFSET, DRIFT_DEVIATION]) * rng.standard_normal(2)
-        noise = rng.standard_normal((steps, 2)) @ root.T
-        drift = np.cumsum(np.append(first[1], noise[:, 1]))
-        bias = np.cumsum(np.append(first[0], noise[:, 0] + dt * drift[:-1]))
-        return np.stack([bias, drift], axis=1)
+        clocks = normal(rngs, (1 + steps, 2))
+        clocks[:, 0] *= [CLOCK_OFFSET, DRIFT_DEVIATION]
+        clocks[:, 1:] = clocks[:, 1:] @ root.T
+        bias, drift = np.moveaxis(clocks, -1, 0)
+        np.cumsum(drift, axis=1, out=drift)
+        bias[:, 1:] += dt * drift[:, :-1]
+        np.cumsum(bias, axis=1, out=bias)
+        return clocks
 
     def drafts(self, truth: Array, rngs: Sequence[Generator]) -> GnssDraft:
         """The clean episodes: satellites in view, and the delays that the corrections leave."""
@@ -367,8 +369,10 @@ class GnssTracking(TrackingScenario):
 
     def deviations(self, draft: GnssDraft) -> tuple[Array, Array]:
         """Code noise, multipath and troposphere by elevation, and the rates' constant."""
-        ranges = range_deviation(draft.elevation)
-        both = np.concatenate([ranges, np.full_like(ranges, RATE_NOISE)], axis=-1)
+        measured = ..., slice(None, None, self.steps_per_measurement), slice(None)
+        both = np.empty((*draft.elevation.shape[:-1], 2 * CHANNELS))
+        both[:] = np.repeat([range_deviation(UNSEEN), RATE_NOISE], CHANNELS)
+        both[..., :CHANNELS][measured] = range_deviation(draft.elevation[measured])
         return both, both
 
     def local_frame(self, position: Array) -> tuple[Array, Array]:

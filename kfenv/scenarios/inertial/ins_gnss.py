@@ -395,5 +395,8 @@ class InsGnss(TrackingScenario):
         return bias if self.faults == "paper" else bias * drawn
 
     def _wandering(self, rng: Generator) -> Array:
-        unit = markov(rng, len(self.time), 1.0 / self.rate, INSTABILITY_TIME)
-        return of_unit(self.imu_instability) * unit
+        steps, deviation = len(self.time), of_unit(self.imu_instability)
+        if not deviation.any():
+            rng.standard_normal((steps, 6))  # drawn, so that what follows stays the same
+            return np.zeros((steps, 6))
+        return deviation * markov(rng, steps, 1.0 / self.rate, INSTABILITY_TIME)
