@@ -151,18 +151,18 @@ def test_ctrl_c_in_training_keeps_a_checkpoint_and_resumes(tmp_path):
     command = [sys.executable, "-m", "kfenv.agents.cli", "train", ENV, "--output", str(folder),
                "--config", str(settings), "--rate", "2", "--option", "duration=15"]  # fmt: skip
     process = subprocess.Popen([*command, "--steps", "100000000"], stderr=subprocess.PIPE)
-    deadline = time.monotonic() + 90.0
+    deadline = time.monotonic() + 300.0
     while not (folder / "tensorboard").exists() and time.monotonic() < deadline:
         time.sleep(0.2)
     time.sleep(2.0)
     os.kill(process.pid, signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=300)
     assert process.returncode == 130
     assert b"Traceback" not in errors
     assert (folder / "checkpoint.zip").exists()
     done = json.loads((folder / "training.json").read_text())["steps"]
     again = subprocess.run(
-        [*command, "--steps", str(done + 256), "--resume"], capture_output=True, timeout=120
+        [*command, "--steps", str(done + 256), "--resume"], capture_output=True, timeout=300
     )
     assert again.returncode == 0, again.stderr.decode()
     assert json.loads((folder / "training.json").read_text())["steps"] >= done + 256
