@@ -69,9 +69,9 @@ class Flights:
         )
         return Flights(turns, climbs, self.heading[chosen])
 
-    def motion(self, time: Array) -> Array:
+    def motion(self, time: Array, out: Array | None = None) -> Array:
         """Velocity and acceleration along the axes, (2, 3, B, T), in m/s and m/s^2."""
-        motion = np.empty((2, 3, len(self.heading), time.size))
+        motion = np.empty((2, 3, len(self.heading), time.size)) if out is None else out
         _fly(self.turns.legs, self.climbs_and_speeds.legs, self.heading, time, motion)
         return motion
 
@@ -82,11 +82,10 @@ class Flights:
             (3, 3, B, N): quantity, axis, aircraft, node; the last at the duration or just beyond.
         """
         time = INNER_STEP * np.arange(floor(duration / INNER_STEP) + 2)
-        motion = self.motion(time)
-        nodes = np.zeros((3, *motion.shape[1:]))
-        nodes[1:] = motion
-        steps = _travelled(INNER_STEP, nodes[1:, ..., :-1], nodes[1:, ..., 1:])
-        np.cumsum(steps, axis=-1, out=nodes[0, ..., 1:])
+        nodes = np.empty((3, 3, len(self.heading), time.size))
+        velocity, acceleration = self.motion(time, out=nodes[1:])
+        nodes[0, ..., 0] = 0.0
+        np.cumsum(_travelled(velocity, acceleration), axis=-1, out=nodes[0, ..., 1:])
         return nodes
 
     def states(self, nodes: Array, start: Array, time: Array) -> Array:
@@ -103,12 +102,18 @@ class Flights:
         return states
 
 
-def _travelled(step: Array | float, before: Array, after: Array) -> Array:
-    """Integrate velocity over a step from its ends' velocity and acceleration (2, 3, ...).
+def _travelled(velocity: Array, acceleration: Array) -> Array:
+    """The way (..., N - 1) from each node to the next.
 
-    The trapezoid with its end correction, of fourth order.
+    The trapezoid of velocity with its end correction, of fourth order.
     """
-    return step * (0.5 * (before[0] + after[0]) + step / 12.0 * (before[1] - after[1]))
+    bend = acceleration[..., :-1] - acceleration[..., 1:]
+    bend *= INNER_STEP / 12.0
+    way = velocity[..., :-1] + velocity[..., 1:]
+    way *= 0.5
+    way += bend
+    way *= INNER_STEP
+    return way
 
 
 @njit(**KERNEL)

@@ -310,7 +310,7 @@ class TrackingScenario(ABC):
         motion_inputs = none if motion_inputs is None else motion_inputs
         sensor_inputs = none if sensor_inputs is None else sensor_inputs
         measured = ..., slice(None, None, self.steps_per_measurement), slice(None)
-        x, s = (np.moveaxis(a[measured], -1, 0).copy() for a in (truth, sensor_inputs))
+        x, s = (np.moveaxis(a[measured], -1, 0) for a in (truth, sensor_inputs))
         exact = np.zeros((*truth.shape[:-1], len(self.sensor.channels)))
         for channel, values in enumerate(self._measure(tuple(x), tuple(s))):
             exact[measured][..., channel] = values
