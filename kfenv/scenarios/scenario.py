@@ -203,8 +203,7 @@ class TrackingScenario(ABC):
         self._spoil_all(draft, rngs)
         true_noise, told_noise = self.deviations(draft)
         true_noise, told_noise = true_noise * draft.noise_factor, told_noise * draft.told_factor
-        measurement = normal(rngs, true_noise.shape[1:])
-        self._measure_all(measurement, draft, true_noise)
+        measurement = self._noisy(draft, true_noise, normal(rngs, true_noise.shape[1:]))
         return Recording(
             time=self.time,
             measurement=measurement,
@@ -219,18 +218,21 @@ class TrackingScenario(ABC):
             faults=tuple(map(tuple, draft.intervals)),
         )
 
-    def _measure_all(self, measurement: Array, draft: Draft, noise: Array) -> None:
-        """Make measurements (B, T, m) of standard normal numbers; NaN where nothing arrives."""
+    def _noisy(self, draft: Draft, noise: Array, drawn: Array) -> Array:
+        """Measurements (B, T, m) from standard normal numbers; NaN where nothing arrives."""
         every = self.steps_per_measurement
-        seen = measurement[:, ::every]
+        seen = drawn[:, ::every]
         seen *= noise[:, ::every]
         seen += draft.exact[:, ::every]
         for channel in self.circular:
             angle = seen[..., channel]
             np.arctan2(np.sin(angle), np.cos(angle), out=angle)
         np.copyto(seen, np.nan, where=~draft.available[:, ::every])
-        for between in range(1, every):
-            measurement[:, between::every] = np.nan
+        if every == 1:
+            return seen
+        measurement = np.full(drawn.shape, np.nan)
+        measurement[:, ::every] = seen
+        return measurement
 
     @abstractmethod
     def trajectories(self, rngs: Sequence[Generator]) -> Array:

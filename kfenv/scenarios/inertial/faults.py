@@ -99,7 +99,7 @@ class Interference:
         check_contamination(self.by, "either")
 
     def apply(self, draft: Draft, rng: Generator) -> None:
-        raised = np.ones_like(draft.noise_factor)
+        raised = np.maximum(draft.noise_factor, 1.0, out=draft.noise_factor)
         for _ in range(rng.integers(self.bursts[0], self.bursts[1], endpoint=True)):
             duration = uniform(rng, self.duration)
             share, factor = uniform(rng, self.share), log_uniform(rng, self.factor)
@@ -107,8 +107,8 @@ class Interference:
             whole = rng.random() < 0.5 if self.by == "either" else self.by == "vector"
             hit = draw_hits(rng, draft, share, "vector" if whole else "channel")
             burst = draft.window(self.label, start, duration)
-            raised[burst] = np.maximum(raised[burst], np.where(hit[burst], factor, 1.0))
-        np.maximum(draft.noise_factor, raised, out=draft.noise_factor)
+            own = np.where(hit[burst], factor, 1.0)
+            np.maximum(raised[burst], own, out=raised[burst])
 
 
 @dataclass(frozen=True)

@@ -71,9 +71,9 @@ def random_flights(rngs: Sequence[Generator], time: Array) -> Array:
         time: (T,) s.
     """
     states = random_trajectories(rngs, time)
-    axes = ([3, 0, 6], [4, 1, 7], [5, 2, 8])
+    axes = ([4, 1, 7], [5, 2, 8])
     sign = np.array([1.0, 1.0, -1.0])
-    _, velocity, acceleration = (states[..., index] * sign for index in axes)
+    velocity, acceleration = (states[..., index] * sign for index in axes)
     start = states[:, :1, 6:7] * [0.0, 0.0, -1.0]
     return _flight(time, start, velocity, _coordinated(velocity, acceleration))
 

@@ -362,9 +362,8 @@ class InsGnss(TrackingScenario):
     def drafts(self, truth: Array, rngs: Sequence[Generator]) -> Draft:
         """Inertial samples with the unit's errors, and a fix every so many of them."""
         samples = exact_samples(truth[..., :9], self.time)
-        errors = self._white if self.biases else self.inertial_errors
-        drawn = np.stack([errors(rng) for rng in rngs])
-        samples = samples + (drawn + truth[..., 9:] if self.biases else drawn)
+        errors = self.inertial_errors(rngs)
+        samples += errors + truth[..., 9:] if self.biases else errors
         if self.biases:
             gravity = np.tile([GRAVITY, 0.0, 0.0], (*samples.shape[:-1], 1))
             samples = np.concatenate([samples, gravity], axis=-1)
@@ -378,17 +377,21 @@ class InsGnss(TrackingScenario):
         same = np.broadcast_to(self.fix_deviations, draft.exact.shape)
         return same, same
 
-    def inertial_errors(self, rng: Generator) -> Array:
-        """Errors (T, 6) of the samples: white noise, constant bias, wandering bias.
+    def inertial_errors(self, rngs: Sequence[Generator]) -> Array:
+        """Errors (B, T, 6) of the samples: white noise, constant bias, wandering bias.
 
         In the paper's case the bias is the given one on every axis; otherwise it is
-        drawn with that deviation.
+        drawn with that deviation. Biases that are states are part of the truth, not of these.
         """
-        return self._white(rng) + self._constant(rng) + self._wandering(rng)
-
-    def _white(self, rng: Generator) -> Array:
-        noise = rng.standard_normal((len(self.time), 6))
-        return sqrt(self.rate / SAMPLE_RATE) * of_unit(self.imu_noise) * noise
+        errors = np.empty((len(rngs), len(self.time), 6))
+        deviation = sqrt(self.rate / SAMPLE_RATE) * of_unit(self.imu_noise)
+        for rng, own in zip(rngs, errors, strict=True):
+            rng.standard_normal(out=own)
+            own *= deviation
+            if not self.biases:
+                own += self._constant(rng)
+                own += self._wandering(rng)
+        return errors
 
     def _constant(self, rng: Generator) -> Array:
         drawn, bias = rng.standard_normal(6), of_unit(self.imu_bias)
