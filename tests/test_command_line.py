@@ -156,7 +156,10 @@ def test_ctrl_c_in_training_keeps_a_checkpoint_and_resumes(tmp_path):
         time.sleep(0.2)
     time.sleep(2.0)
     os.kill(process.pid, signal.SIGINT)
-    _, errors = process.communicate(timeout=300)
+    try:
+        _, errors = process.communicate(timeout=300)
+    finally:
+        process.kill()
     assert process.returncode == 130
     assert b"Traceback" not in errors
     assert (folder / "checkpoint.zip").exists()
