@@ -1,6 +1,7 @@
 """Imports point downwards, nothing goes in circles, and modules stay short."""
 
 import ast
+import tomllib
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -133,7 +134,13 @@ def untold(texts):
     return [package for package, text in inits.items() if not ast.get_docstring(ast.parse(text))]
 
 
-@pytest.mark.parametrize("offences", [upward, circle, learning, long, untold])
+def left_at_home(texts):
+    """Packages that an installation would lack, and those that it would look for in vain."""
+    told = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    return sorted({name.rpartition(".")[0] for name in texts} ^ set(told))
+
+
+@pytest.mark.parametrize("offences", [upward, circle, learning, long, untold, left_at_home])
 def test_the_house_is_in_order(offences):
     assert offences(sources()) == []
 
