@@ -36,6 +36,7 @@ from kfenv.models.variable_turn import variable_turn
 from kfenv.scenarios import tracks
 from kfenv.scenarios.draws import normal
 from kfenv.scenarios.faults import Fault, Jamming
+from kfenv.scenarios.gnss.clocks import CLOCK_DENSITY, DRIFT_DEVIATION, clocks
 from kfenv.scenarios.gnss.faults import (
     GNSS_FAULTS,
     ClockDegradation,
@@ -58,8 +59,6 @@ Array = NDArray[np.float64]
 
 DURATION, PAPER_DURATION, LOG_DURATION = 120.0, 250.0, 300.0  # s, unless told
 PAPER_TIME = timedelta(hours=5)  # of the day, ours: six satellites above 10 deg for 250 s
-CLOCK_DENSITY = 0.1  # (m/s)^2/s, of truth and filter
-DRIFT_DEVIATION = 5.0  # m/s
 # Broadcast ionosphere of a published worked example (seconds per semicircle^n).
 ALPHA, BETA = (3.82e-8, 1.49e-8, -1.79e-7, 0.0), (1.43e5, 0.0, -3.28e5, 1.13e5)
 UNSEEN = np.pi / 2.0  # elevation told where a channel has no satellite
@@ -297,21 +296,8 @@ class GnssTracking(TrackingScenario):
             local = np.tile(paper_trajectory("B", self.time), (len(rngs), 1, 1))
         else:
             local = random_trajectories(rngs, self.time)
-        return np.concatenate([earth_fixed(local, place), self._clocks(rngs)], axis=-1)
-
-    def _clocks(self, rngs: Sequence[Generator]) -> Array:
-        """Bias and drift (B, T, 2) of the receivers' clocks: what `with_clock` assumes."""
-        dt, steps = 1.0 / self.rate, len(self.time) - 1
-        covariance = [[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]]
-        root = np.linalg.cholesky(CLOCK_DENSITY * np.array(covariance))
-        clocks = normal(rngs, (1 + steps, 2))
-        clocks[:, 0] *= [CLOCK_OFFSET, DRIFT_DEVIATION]
-        clocks[:, 1:] = clocks[:, 1:] @ root.T
-        bias, drift = np.moveaxis(clocks, -1, 0)
-        np.cumsum(drift, axis=1, out=drift)
-        bias[:, 1:] += dt * drift[:, :-1]
-        np.cumsum(bias, axis=1, out=bias)
-        return clocks
+        clock = clocks(rngs, self.time.size, 1.0 / self.rate)
+        return np.concatenate([earth_fixed(local, place), clock], axis=-1)
 
     def drafts(self, truth: Array, rngs: Sequence[Generator]) -> GnssDraft:
         """The clean episodes: satellites in view, and the delays that the corrections leave."""

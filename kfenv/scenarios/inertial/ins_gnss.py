@@ -378,11 +378,7 @@ class InsGnss(TrackingScenario):
         return same, same
 
     def inertial_errors(self, rngs: Sequence[Generator]) -> Array:
-        """Errors (B, T, 6) of the samples: white noise, constant bias, wandering bias.
-
-        In the paper's case the bias is the given one on every axis; otherwise it is
-        drawn with that deviation. Biases that are states are part of the truth, not of these.
-        """
+        """Errors (B, T, 6) of the samples: white noise, and biases that are no states."""
         errors = np.empty((len(rngs), len(self.time), 6))
         deviation = sqrt(self.rate / SAMPLE_RATE) * of_unit(self.imu_noise)
         for rng, own in zip(rngs, errors, strict=True):
@@ -394,12 +390,10 @@ class InsGnss(TrackingScenario):
         return errors
 
     def _constant(self, rng: Generator) -> Array:
+        """The given bias in the paper's case, otherwise one drawn with that deviation."""
         drawn, bias = rng.standard_normal(6), of_unit(self.imu_bias)
         return bias if self.faults == "paper" else bias * drawn
 
     def _wandering(self, rng: Generator) -> Array:
-        steps, deviation = len(self.time), of_unit(self.imu_instability)
-        if not deviation.any():
-            rng.standard_normal((steps, 6))  # drawn, so that what follows stays the same
-            return np.zeros((steps, 6))
-        return deviation * markov(rng, steps, 1.0 / self.rate, INSTABILITY_TIME)
+        deviation = of_unit(self.imu_instability)
+        return markov(rng, len(self.time), 1.0 / self.rate, INSTABILITY_TIME, deviation)
