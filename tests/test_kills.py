@@ -94,13 +94,13 @@ def demo(monkeypatch):
 
 
 def outcome(folder):
-    """All results below a folder, without what time and the machine put into them."""
+    """All results below a folder, without what time, machine and folder put into them."""
     found = {}
     for path in sorted(folder.rglob("*")):
         name = str(path.relative_to(folder))
         if path.suffix == ".json":
             text = re.sub(r'"(seconds|cost|steps_per_second)": [^,}\]]*', "", path.read_text())
-            found[name] = text
+            found[name] = text.replace(str(folder), "")
         elif path.suffix == ".npz" and path.parent.name == "scores":
             with np.load(path) as file:
                 found[name] = [file[key].tolist() for key in ("rmse", "lost", "values")]

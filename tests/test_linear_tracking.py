@@ -54,6 +54,7 @@ def test_every_form_is_filterpys_kalman_filter(design, case):
             here = ~np.isnan(case.measurement[b, t])
             if here.any():
                 R_t = np.diag(case.noise[b, t, here] ** 2)
+                kalman.dim_z = here.sum()  # FilterPy 1.4 asks for as many
                 kalman.update(case.measurement[b, t, here].reshape(-1, 1), R=R_t, H=H[here])
             sd = np.sqrt(np.diag(kalman.P))
             assert np.max(np.abs(found.mean[b, t] - kalman.x[:, 0]) / sd) < TOLERANCE
