@@ -122,3 +122,8 @@ class Draft:
         for i, intervals in enumerate(self.intervals):
             if which is None or which[i]:
                 intervals.append(interval)
+
+
+def split(values: Array) -> tuple[Array, ...]:
+    """Views (...) of the parts along the last axis."""
+    return tuple(values[..., i] for i in range(values.shape[-1]))

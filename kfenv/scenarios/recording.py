@@ -144,18 +144,18 @@ class Recording:
         finite = ("time", "noise", "mean", "factor", "motion_inputs", "truth", "true_noise")
         for name in (*finite, "true_bias", "scored"):
             value = getattr(self, name)
-            if value is not None and not np.all(np.isfinite(value)):
+            if value is not None and not np.isfinite(value).all():
                 raise ValueError(
                     f"Recording.{name} holds NaN or infinity; only `measurement` and the sensor "
                     "inputs of missing channels may hold NaN."
                 )
-        if np.any(np.isinf(self.measurement)):
+        if np.isinf(self.measurement).any():
             raise ValueError("Recording.measurement holds infinity; mark what is missing by NaN.")
         if self.scored is not None and not np.all((self.scored == 0.0) | (self.scored == 1.0)):
             raise ValueError("Recording.scored must hold nothing but ones and zeros.")
         for name in ("noise", "true_noise"):
             value = getattr(self, name)
-            if value is not None and not np.all(value > 0.0):
+            if value is not None and not (value > 0.0).all():
                 raise ValueError(
                     f"Recording.{name} must be positive everywhere: it holds standard deviations."
                 )

@@ -16,7 +16,7 @@ from kfenv.checks import is_number
 from kfenv.models.model import Motion, Sensor
 from kfenv.models.namespaces import batch
 from kfenv.models.yardstick import Yardstick
-from kfenv.scenarios.draft import Draft
+from kfenv.scenarios.draft import Draft, split
 from kfenv.scenarios.draws import normal
 from kfenv.scenarios.faults import FAULTS, Fault, apply_all, resolve_faults
 from kfenv.scenarios.recording import Recording, Whole, stack
@@ -146,12 +146,12 @@ class TrackingScenario(ABC):
         """Filter steps from one measurement to the next, faults aside."""
         return 1
 
-    @property
+    @cached_property
     def initial_deviations(self) -> Array:
         """Standard deviations (n,) of the initial estimate."""
         return np.tile(self.initial_deviation, 3)
 
-    @property
+    @cached_property
     def initial_factor(self) -> Array:
         """Lower factor (n, n) of the initial estimate's covariance."""
         return np.diag(self.initial_deviations)
@@ -312,10 +312,10 @@ class TrackingScenario(ABC):
         motion_inputs = none if motion_inputs is None else motion_inputs
         sensor_inputs = none if sensor_inputs is None else sensor_inputs
         measured = ..., slice(None, None, self.steps_per_measurement), slice(None)
-        x, s = (np.moveaxis(a[measured], -1, 0) for a in (truth, sensor_inputs))
+        x, s = (split(a[measured]) for a in (truth, sensor_inputs))
         exact = np.zeros((*truth.shape[:-1], len(self.sensor.channels)))
-        for channel, values in enumerate(self._measure(tuple(x), tuple(s))):
-            exact[measured][..., channel] = values
+        for values, channel in zip(self._measure(x, s), split(exact[measured]), strict=True):
+            channel[...] = values
         return kind.clean(
             self.time, exact.shape[-1], exact=exact, motion_inputs=motion_inputs,
             sensor_inputs=sensor_inputs, **more,

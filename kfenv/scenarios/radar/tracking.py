@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from kfenv.models.model import Motion
 from kfenv.models.phased_array import PhasedArray
 from kfenv.models.variable_turn import variable_turn
+from kfenv.scenarios.draft import split
 from kfenv.scenarios.faults import FAULTS, Fault, Glint, Jamming, NoiseMisreport, SignalLoss
 from kfenv.scenarios.radar.scenario import RadarDraft, RadarScenario, Rain, SelfScreeningJammer
 from kfenv.scenarios.trajectories import (
@@ -88,7 +89,7 @@ class RadarTracking(RadarScenario):
     def drafts(self, truth: Array, rngs: Sequence[Generator]) -> RadarDraft:
         """The clean episodes: S/N from the radar equation, nothing beyond the scan limit."""
         draft = super().drafts(truth, rngs)
-        distance, azimuth, elevation = np.moveaxis(draft.exact, -1, 0)
+        distance, azimuth, elevation = split(draft.exact)
         draft.array = self.radar
         draft.snr = self.radar.signal_to_noise(distance, azimuth, elevation)
         draft.told_snr = draft.snr.copy()
@@ -98,5 +99,5 @@ class RadarTracking(RadarScenario):
     def noise(self, draft: RadarDraft, snr: Array) -> Array:
         """From the integrated S/N."""
         # beyond the limit nothing arrives: any finite value will do
-        azimuth, elevation = self.radar.within_scan(*np.moveaxis(draft.exact[..., 1:], -1, 0))
+        azimuth, elevation = self.radar.within_scan(*split(draft.exact)[1:])
         return self.radar.noise(self.radar.integrated(snr), azimuth, elevation)
