@@ -87,7 +87,9 @@ def roll(
     """
     options = replace(part.options, recording=recording, reward="rmse")
     core = Core(part.scenario, options, len(recording), recording.time, has_truth=True)
-    core.filter = watched = Watched(core.filter)
+    watched = Watched(core.filter)
+    if keep:  # by itself the engine writes in place
+        core.filter = watched
     core.load(np.arange(len(recording)), recording)
     if teacher is not None:
         shown = recording if teacher.clairvoyant else None
