@@ -100,6 +100,15 @@ def test_run_is_the_steps_one_by_one():
             np.testing.assert_allclose(run.mean[:, t], updated.mean, rtol=1e-11, atol=1e-9)
 
 
+def test_a_lane_alone_gives_the_bits_of_eight():
+    motion, sensor, make_case = PAIRS["variable turn, radar"]
+    case = make_case()
+    steps = (step_through(Engine(motion, sensor, lanes=lanes), case) for lanes in (1, 8))
+    for alone, together in zip(*steps, strict=True):
+        for mine, theirs in zip([*alone[0], *alone[1]], [*together[0], *together[1]], strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+
+
 @pytest.mark.parametrize("tier", [Engine, ReferenceFilter])
 def test_a_filter_has_the_same_bits_alone_and_in_a_batch(tier):
     case = radar_case(batch=5, steps=80)
@@ -119,7 +128,7 @@ def test_arrays_of_any_kind_reach_the_kernel_alike(monkeypatch):
         met.extend(array for array in arguments if isinstance(array, np.ndarray))
 
     tier, status = Engine(variable_turn(), radar()), np.zeros(2, np.int64)
-    monkeypatch.setattr(tier, "_kernel", SimpleNamespace(predict=look, update=look, run=look))
+    monkeypatch.setattr(tier, "_kernel", SimpleNamespace(advance=look))
     mean, factor = case.mean[::-1, ::-1], np.swapaxes(case.factor, 1, 2)
     pending = Measurement(*(a[:, 1] for a in (case.sensor_inputs, case.measurement, case.noise)))
     for array in pending:
@@ -138,7 +147,7 @@ def test_a_reference_filter_pickles():
 
 def test_compiled_code_is_kept_under_a_name_of_what_it_was_made_of(tmp_path, monkeypatch):
     """Numba looks only at the file of the entry points: a change of the cycle must rename them."""
-    models = variable_turn(), radar(), 1.0
+    models = variable_turn(), radar(), 1.0, 8
     before = engine._kernel.__wrapped__(*models).__name__
     assert engine._kernel.__wrapped__(*models).__name__ == before
     changed = tmp_path / "cycle.py"

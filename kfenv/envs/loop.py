@@ -20,13 +20,46 @@ from kfenv.envs.state_knobs import places_of_states
 from kfenv.filters.engine import Engine
 from kfenv.filters.pointwise import PointwiseFilter
 from kfenv.filters.protocol import Filter, Knobs, Measurement, Status
-from kfenv.filters.results import Prediction, Update
+from kfenv.filters.results import OK, Prediction, Update
 from kfenv.models.model import Sensor
+from kfenv.models.namespaces.lanes import LANES
 from kfenv.models.own import is_compilable
 from kfenv.models.yardstick import lines_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+
+class _Beside:
+    """A filter whose results are copied to where the `Engine` writes them by itself."""
+
+    def __init__(self, filter: Filter) -> None:
+        self._filter = filter
+
+    def advance_in_place(
+        self, mean: Array, factor: Array, inputs: Array, dt: Array, prediction: Prediction,
+        knobs: Knobs, measurement: Measurement, status: Status, out: Update,
+    ) -> None:  # fmt: skip
+        """See `Engine`, as for the others."""
+        self._copy(self._filter.predict, (mean, factor, inputs, dt), status, prediction)
+        self.innovate_in_place(prediction, knobs, measurement, status, out)
+
+    def innovate_in_place(
+        self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status,
+        out: Update,
+    ) -> None:  # fmt: skip
+        self._copy(self._filter.innovate, (prediction, knobs, measurement), status, out)
+
+    def update_in_place(
+        self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status,
+        out: Update, *odds: Array,
+    ) -> None:  # fmt: skip
+        self._copy(self._filter.update, (prediction, knobs, measurement), status, out, *odds)
+
+    def _copy(self, method, given: tuple, status: Status, out: tuple, *odds: Array) -> None:
+        running = status == OK
+        for before, after in zip(out, method(*given, status, *odds), strict=True):
+            before[running] = after[running]
 
 
 class Loop:
@@ -47,7 +80,7 @@ class Loop:
     ) -> None:
         self.scenario, self.options, self.batch = scenario, options, batch
         motion, sensor = scenario.motion, scenario.sensor
-        self.filter = make_filter(scenario, options)
+        self.filter = make_filter(scenario, options, batch)
         self.yardstick = yardstick = scenario.yardstick
         self._lines, self._weight = yardstick.lines(len(motion.states)), yardstick.weight
         places = yardstick.rates
@@ -131,7 +164,7 @@ class Loop:
         """
         turned = self._turn(arrived, due, active)
         odds = (self.factors[:, self._outlier_knob].copy(),) if self.options.mixture else ()
-        self._filtered("update", (*turned, self._work, *odds), active, self._update)
+        self._worker.update_in_place(*turned, self._work, self._update, *odds)
         statistics.settle(self._work, active, self.status, self._update.mean, self._update.nis)
 
     def _turn(
@@ -145,22 +178,10 @@ class Loop:
         )  # fmt: skip
         return self._turned, self._knobs, Measurement(arrived.inputs, arrived.value, self._told)
 
-    def _filtered(self, what: str, given: tuple, active: Mask, kept: Prediction | Update) -> None:
-        """Let the filter work for the active ones and keep what comes of it.
-
-        The engine writes it into its place. Of another filter it is copied there: so may one be
-        watched that stands in front of the engine.
-
-        Args:
-            what: its method.
-            given: its arguments, the status `_work` among them.
-        """
-        method = getattr(self.filter, what)
-        if isinstance(self.filter, Engine):
-            method(*given, out=kept)
-        else:
-            for before, after in zip(kept, method(*given), strict=True):
-                before[active] = after[active]
+    @property
+    def _worker(self) -> Engine | _Beside:
+        """The engine, or whatever filter there is: one may watch that stands in front of it."""
+        return self.filter if isinstance(self.filter, Engine) else _Beside(self.filter)
 
     def foresee(self, arrived: Measurement, due: Mask, status: Status) -> Update:
         """The innovation of what arrived with the last decision's knobs still held.
@@ -181,9 +202,11 @@ class Loop:
             arrived, dt: as for `look`.
         """
         statistics.select(active, self.status, self._work)
-        given = (self._update.mean, self._update.factor, inputs, dt, self._work)
-        self._filtered("predict", given, active, self._prediction)
-        self._innovate(arrived, dt, active)
+        self._worker.advance_in_place(
+            self._update.mean, self._update.factor, inputs, dt, self._prediction, self._nominal,
+            arrived, self._work, self._pending,
+        )  # fmt: skip
+        self._notice(arrived, dt, active)
 
     def look(self, arrived: Measurement, dt: Array, active: Mask) -> None:
         """Form the pending innovation with nominal knobs and take it into the statistics.
@@ -192,11 +215,12 @@ class Loop:
             dt: (B,) since the instant before, zero at the first one.
         """
         statistics.select(active, self.status, self._work)
-        self._innovate(arrived, dt, active)
+        self._worker.innovate_in_place(
+            self._prediction, self._nominal, arrived, self._work, self._pending
+        )
+        self._notice(arrived, dt, active)
 
-    def _innovate(self, arrived: Measurement, dt: Array, active: Mask) -> None:
-        given = (self._prediction, self._nominal, arrived, self._work)
-        self._filtered("innovate", given, active, self._pending)
+    def _notice(self, arrived: Measurement, dt: Array, active: Mask) -> None:
         statistics.notice(
             self._pending.whitened, self._group, self._statistics, self._since, dt, self._work,
             active, self.status,
@@ -291,19 +315,22 @@ class Loop:
         return tuple(names)
 
 
-def make_filter(scenario: Any, options: Options) -> Filter:
+def make_filter(scenario: Any, options: Options, batch: int = LANES) -> Filter:
     """The engine, a Gaussian sum, or a square-root filter of the reference tier by name.
 
     Models that are NumPy functions, which the engine cannot run, get its equal around NumPy.
+
+    Args:
+        batch: of filters; a single one gets an engine of one lane.
 
     Raises:
         ValueError: for an unknown name or one without a square-root factor.
     """
     motion, sensor = scenario.motion, scenario.sensor
     if options.filter == ENGINE:
-        compilable = is_compilable(motion) and is_compilable(sensor)
-        kind = Engine if compilable else PointwiseFilter
-        return kind(motion, sensor, options.kappa)
+        if not (is_compilable(motion) and is_compilable(sensor)):
+            return PointwiseFilter(motion, sensor, options.kappa)
+        return Engine(motion, sensor, options.kappa, lanes=1 if batch == 1 else LANES)
     from kfenv.filters.adaptive import ADAPTIVE_DESIGNS, build_tier, told_design
     from kfenv.filters.designs import DESIGNS, find_design
     from kfenv.filters.reference import ReferenceFilter

@@ -1,15 +1,15 @@
 # ruff: noqa: F821
-"""One cycle of eight square-root sigma-point filters, side by side (SPEC section 9).
+"""One cycle of square-root sigma-point filters, eight side by side or one (SPEC section 9).
 
 This file is the first of two templates. `kfenv.filters.engine` executes them, one after the
 other and in one module, once per pair of motion and sensor, after binding the names in
 capitals, the model's functions, the component accessors and the decorator ``entry_point`` as
 globals; bound so, and not through closures, Numba finds its cache again in the next process.
 
-There is one filter per lane of a vector. Scratch matrices are arrays (rows * columns, 8);
-``load`` and ``store`` take a flat index. No lane sees another, so a filter's bits do not
-depend on its neighbours. ``w`` is the engine's `Scratch`; its arrays are overwritten from one
-step to the next. A missing channel keeps its row with zero slope, unit noise and zero
+There is one filter per lane of a vector, or a float. Scratch matrices are rows of lanes
+(rows * columns); ``load`` and ``store`` take a flat index. No lane sees another, so a filter's
+bits do not depend on its neighbours. ``w`` is the engine's `Scratch`; its rows are overwritten
+from one step to the next. A missing channel keeps its row with zero slope, unit noise and zero
 innovation, and since the noise stands first in the rows that are triangularised, it changes
 no bit of the others. So where there are many, one that no lane heard has no row at all, and
 the bits are the same.
@@ -18,7 +18,7 @@ the bits are the same.
 from numba import njit
 
 from kfenv.models.namespaces.compiled import INNER, wrap
-from kfenv.models.namespaces.lanes import lift, load, spread, sqrt, store, where_greater
+from kfenv.models.namespaces.lanes import load, peek, sqrt, store, where_greater
 
 
 @njit(forceinline=True, **INNER)
@@ -85,13 +85,29 @@ def _append(L, A, rows, stride, first, width):
 
 
 @njit(**INNER)
-def _add_noise(root, root_scale, noise, noise_scale, L, A):
-    """L := lower factor of root_scale^2 root root^T + noise_scale^2 noise noise^T."""
+def _copy(source, target, rows):
+    for k in range(rows):
+        store(target, k, load(source, k))
+
+
+@njit(**INNER)
+def _start(w):
+    """The initial state in the prediction's place, without any process noise."""
+    for k in range(N * N):
+        store(w.Q, k, spread(0.0))
+        store(w.L, k, load(w.S, k))
+    _copy(w.posterior, w.predicted, _plain(N))
+
+
+@njit(**INNER)
+def _add_noise(w):
+    """L := lower factor of S S^T and Q Q^T by their scales."""
+    root_scale, noise_scale = load(w.scales, 0), load(w.scales, 1)
     for i in range(N):
         for j in range(i + 1):
-            store(L, i * N + j, root_scale * load(root, i * N + j))
-            store(A, i * N + j, noise_scale * load(noise, i * N + j))
-    _append(L, A, _plain(N), _plain(N), _plain(1), _plain(N))
+            store(w.L, i * N + j, root_scale * load(w.S, i * N + j))
+            store(w.A, i * N + j, noise_scale * load(w.Q, i * N + j))
+    _append(w.L, w.A, _plain(N), _plain(N), _plain(1), _plain(N))
 
 
 @njit(**INNER)
@@ -125,35 +141,35 @@ def _mean_offset(X, row, is_angle):
 
 
 @njit(**INNER)
-def _predict_lanes(mean, factor, u, dt, new_mean, root, noise, X):
-    """Propagate; root and noise are the two parts of the predicted factor."""
-    inputs = input_components(u)
-    _draw(mean, factor, X)
-    entries = noise_factor(state_components(X, _plain(0)), inputs, dt)
+def _predict_lanes(w):
+    """Propagate from posterior and S; L and Q are the two parts of the predicted factor."""
+    inputs, dt = input_components(w.u), load(w.dt, 0)
+    _draw(w.posterior, w.S, w.X)
+    entries = noise_factor(state_components(w.X, _plain(0)), inputs, dt)
     for k in range(N * N):
-        store(noise, k, spread(0.0))
+        store(w.Q, k, spread(0.0))
     for k in range(len(NOISE_PATTERN)):
-        store(noise, NOISE_PATTERN[k][0] * N + NOISE_PATTERN[k][1], lift(entries[k]))
+        store(w.Q, NOISE_PATTERN[k][0] * N + NOISE_PATTERN[k][1], lift(entries[k]))
     for j in range(P):
-        store_state(X, j, step(state_components(X, j), inputs, dt))
+        store_state(w.X, j, step(state_components(w.X, j), inputs, dt))
     for i in range(N):
         row = i * P
-        centre = load(X, row)
-        offset = _mean_offset(X, row, STATE_IS_ANGLE[i])
+        centre = load(w.X, row)
+        offset = _mean_offset(w.X, row, STATE_IS_ANGLE[i])
         value = centre + offset
         if STATE_IS_ANGLE[i]:
             value = wrap(value)
-        store(new_mean, i, value)
-        store(X, row, -ROOT_CENTRE_WEIGHT * offset)
+        store(w.predicted, i, value)
+        store(w.X, row, -ROOT_CENTRE_WEIGHT * offset)
         for j in range(1, P):
-            store(X, row + j, ROOT_WEIGHT * (load(X, row + j) - offset))
-    _triangularise(X, root, _plain(N), _plain(P))
+            store(w.X, row + j, ROOT_WEIGHT * (load(w.X, row + j) - offset))
+    _triangularise(w.X, w.L, _plain(N), _plain(P))
 
 
 @njit(**INNER)
 def _channel(w, r):
     """The channel that row r of U, Re, C and K stands for."""
-    return int(w.order[r, 0]) if SKIPS else r
+    return int(peek(w.order, r, 0)) if SKIPS else r
 
 
 @njit(**INNER)
@@ -208,7 +224,14 @@ def _innovate_lanes(w, heard):
 
 @njit(**INNER)
 def _correct_lanes(w, heard):
-    """K = S U^T C^-T C^-1 and S+ = tria[S - K U, K Re]; K is held one row a channel."""
+    """K = S U^T C^-T C^-1 and S+ = tria[S - K U, K Re]; K is held one row a channel.
+
+    Where no lane has a measurement: what comes of that, for nothing.
+    """
+    if not heard:
+        _copy(w.predicted, w.posterior, _plain(N))
+        _copy(w.L, w.S, _plain(N * N))
+        return
     count, rows = load(w.count, 0), heard if SKIPS else M
     for r in range(rows):
         inverse = 1.0 / load(w.C, r * M + r)
@@ -249,12 +272,3 @@ def _correct_lanes(w, heard):
         for j in range(i + 1):
             k = i * N + j
             store(w.S, k, where_greater(count, 0.5, load(w.S, k), load(w.L, k)))
-
-
-@njit(**INNER)
-def _keep_lanes(w):
-    """Where no lane has a measurement: what `_correct_lanes` gives then, for nothing."""
-    for i in range(N):
-        store(w.posterior, i, load(w.predicted, i))
-        for j in range(i + 1):
-            store(w.S, i * N + j, load(w.L, i * N + j))

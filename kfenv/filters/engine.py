@@ -8,7 +8,7 @@ from functools import lru_cache, partial
 from math import sqrt
 from pathlib import Path
 from types import FunctionType, ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -23,6 +23,7 @@ from kfenv.models.namespaces import compiled, lanes
 from kfenv.models.namespaces.lanes import LANES
 
 Array = NDArray[np.float64]
+Rows = Any  # of lanes, see `lanes.RowsType`
 Status = NDArray[np.int64]
 FEW = 9  # of so many channels each has a row, heard or not: loops of known length are faster
 ENTRY_POINT = {"cache": True, "nogil": True, "no_cfunc_wrapper": True, **compiled.FLOATING_POINT}
@@ -30,35 +31,35 @@ CYCLE, KERNEL = (Path(__file__).with_name(name) for name in ("cycle.py", "kernel
 
 
 class Scratch(NamedTuple):
-    """The kernel's working arrays, each (size, 8): matrices flat, one lane per filter.
+    """The kernel's working rows of lanes: matrices flat, one lane per filter.
 
     They are parts of one array, since every array costs time when a kernel is called.
     """
 
-    posterior: Array
-    predicted: Array
-    S: Array  # factor before the step in hand: of the posterior, or the propagated root
-    L: Array  # predicted factor
-    Q: Array  # factor of the process noise
-    u: Array
-    s: Array
-    dt: Array
-    scales: Array  # roots of the knobs fading and process noise
-    z: Array
-    sd: Array
-    arrived: Array  # 1 for a channel that arrived, otherwise 0
-    count: Array
-    order: Array  # numbers of the channels that any lane heard
-    innovation: Array
-    variance: Array
-    whitened: Array
-    X: Array  # sigma points, a row per state
-    Z: Array  # measured sigma points, a row per channel
-    A: Array  # rows to be triangularised
-    U: Array  # statistical H S (SPEC section 9)
-    Re: Array  # factor of linearisation error and measurement noise
-    C: Array  # innovation factor
-    K: Array  # gain, a row per channel
+    posterior: Rows
+    predicted: Rows
+    S: Rows  # factor before the step in hand: of the posterior, or the propagated root
+    L: Rows  # predicted factor
+    Q: Rows  # factor of the process noise
+    u: Rows
+    s: Rows
+    dt: Rows
+    scales: Rows  # roots of the knobs fading and process noise
+    z: Rows
+    sd: Rows
+    arrived: Rows  # 1 for a channel that arrived, otherwise 0
+    count: Rows
+    order: Rows  # numbers of the channels that any lane heard
+    innovation: Rows
+    variance: Rows
+    whitened: Rows
+    X: Rows  # sigma points, a row per state
+    Z: Rows  # measured sigma points, a row per channel
+    A: Rows  # rows to be triangularised
+    U: Rows  # statistical H S (SPEC section 9)
+    Re: Rows  # factor of linearisation error and measurement noise
+    C: Rows  # innovation factor
+    K: Rows  # gain, a row per channel
 
 
 class Engine:
@@ -67,83 +68,94 @@ class Engine:
     Args:
         motion, sensor: the models.
         kappa: spread of the sigma points, >= 0 so that no weight is negative (SPEC 2.2).
+        lanes: 8, or 1 for a filter that is mostly alone: faster then, with the same bits.
 
     Raises:
         ValueError: if kappa is negative or not finite.
     """
 
-    def __init__(self, motion: Motion, sensor: Sensor, kappa: float = 1.0) -> None:
+    def __init__(
+        self, motion: Motion, sensor: Sensor, kappa: float = 1.0, lanes: int = LANES
+    ) -> None:
         if not 0.0 <= kappa < float("inf"):
             raise ValueError(
                 f"kappa must be a non-negative number, got {kappa!r}: a negative central "
                 "weight has no square root. The reference filters accept it."
             )
         self.motion, self.sensor, self.kappa = motion, sensor, float(kappa)
-        self._kernel = _kernel(motion, sensor, self.kappa)
+        self._kernel = _kernel(motion, sensor, self.kappa, lanes)
         n, m = len(motion.states), len(sensor.channels)
         self._n, self._m = n, m
         sizes = _scratch_sizes(n, m, len(motion.inputs), len(sensor.inputs))
-        self._scratch = np.zeros((sum(sizes), LANES))
+        self._scratch = np.zeros((sum(sizes), lanes))
 
     def __reduce__(self):
-        return Engine, (self.motion, self.sensor, self.kappa)
+        return Engine, (self.motion, self.sensor, self.kappa, self._scratch.shape[1])
 
     def predict(
-        self,
-        mean: Array,
-        factor: Array,
-        inputs: Array,
-        dt: Array,
-        status: Status,
-        out: Prediction | None = None,
+        self, mean: Array, factor: Array, inputs: Array, dt: Array, status: Status
     ) -> Prediction:
-        """See `Filter.predict`; with `out` the results are written into that.
-
-        What is given with an `out` has to be in C's order.
-        """
-        given = mean, factor, inputs, dt
-        if out is None:
-            out = Prediction(np.empty(mean.shape), *np.empty((2, *factor.shape)))
-            given = _plain(*given)
-        self._kernel.predict(*given, self._scratch, *out, status)
+        """See `Filter.predict`."""
+        out = Prediction(np.empty(mean.shape), *np.zeros((2, *factor.shape)))
+        mean, factor, inputs, dt = given = _plain(mean, factor, inputs, dt)
+        unused = dt, dt, inputs, mean, mean, self._scratch, *out[:2], mean, mean, mean, dt, dt
+        self._kernel.advance(True, False, False, *given, *out, *unused, status)
         return out
 
     def innovate(
-        self,
-        prediction: Prediction,
-        knobs: Knobs,
-        measurement: Measurement,
-        status: Status,
-        out: Update | None = None,
+        self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status
     ) -> Update:
-        """See `Filter.innovate`; `out` as for `predict`."""
-        return self._update(prediction, knobs, measurement, status, False, out)
-
-    def update(
-        self,
-        prediction: Prediction,
-        knobs: Knobs,
-        measurement: Measurement,
-        status: Status,
-        out: Update | None = None,
-    ) -> Update:
-        """See `Filter.update`; `out` as for `predict`."""
-        return self._update(prediction, knobs, measurement, status, True, out)
-
-    def _update(self, prediction, knobs, measurement, status, correct, out) -> Update:
-        given = *prediction, *knobs, *measurement
-        if out is None:
-            shape = measurement.value.shape
-            out = Update(
-                np.empty(prediction.mean.shape), np.empty(prediction.root.shape),
-                *np.empty((3, *shape)), *np.empty((2, shape[0])),
-            )  # fmt: skip
-            given = _plain(*given)
-        self._kernel.update(*given, self._scratch, correct, *out, status)
+        """See `Filter.innovate`."""
+        given = _plain(*prediction), _plain(*knobs), _plain(*measurement)
+        out = _new_update(prediction, measurement)
+        self.innovate_in_place(*given, status, out)
         return out
 
+    def update(
+        self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status
+    ) -> Update:
+        """See `Filter.update`."""
+        given = _plain(*prediction), _plain(*knobs), _plain(*measurement)
+        out = _new_update(prediction, measurement)
+        self.update_in_place(*given, status, out)
+        return out
+
+    # What these are given has to be in C's order, and of factors zero above the diagonal.
+
+    def advance_in_place(
+        self, mean: Array, factor: Array, inputs: Array, dt: Array, prediction: Prediction,
+        knobs: Knobs, measurement: Measurement, status: Status, out: Update,
+    ) -> None:  # fmt: skip
+        """`predict`, written into the prediction, then `innovate`, written into the last."""
+        self._kernel.advance(
+            True, True, False, mean, factor, inputs, dt, *prediction, *knobs, *measurement,
+            self._scratch, *out, status,
+        )  # fmt: skip
+
+    def innovate_in_place(
+        self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status,
+        out: Update,
+    ) -> None:  # fmt: skip
+        """`innovate`, written into the last."""
+        self._look(False, prediction, knobs, measurement, status, out)
+
+    def update_in_place(
+        self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status,
+        out: Update,
+    ) -> None:  # fmt: skip
+        """`update`, written into the last."""
+        self._look(True, prediction, knobs, measurement, status, out)
+
+    def _look(self, corrects, prediction, knobs, measurement, status, out) -> None:
+        mean, root, _ = prediction
+        unused = mean, root, measurement[0], knobs[0]
+        self._kernel.advance(
+            False, True, corrects, *unused, *prediction, *knobs, *measurement, self._scratch, *out,
+            status,
+        )  # fmt: skip
+
     def run(self, episodes: Episodes, knobs: Knobs | None = None) -> Run:
-        """See `Filter.run`; no Python per step."""
+        """See `Filter.run`; no Python per step, and always in eight lanes."""
         batch, steps = episodes.measurement.shape[:2]
         result = Run(
             np.full((batch, steps, self._n), np.nan), np.full((batch, steps), np.nan),
@@ -153,11 +165,21 @@ class Engine:
             episodes.mean, episodes.factor, episodes.motion_inputs, episodes.sensor_inputs,
             episodes.measurement, episodes.noise,
         )  # fmt: skip
-        self._kernel.run(
+        kernel = _kernel(self.motion, self.sensor, self.kappa, LANES)
+        kernel.run(
             mean, factor, elapsed(episodes)[..., None].copy(), *series,
-            *_plain(*(knobs or Knobs.nominal(batch))), self._scratch, *result,
+            *_plain(*(knobs or Knobs.nominal(batch))), np.zeros((len(self._scratch), LANES)),
+            *result,
         )  # fmt: skip
         return result
+
+
+def _new_update(prediction: Prediction, measurement: Measurement) -> Update:
+    shape = measurement.value.shape
+    return Update(
+        np.empty(prediction.mean.shape), np.zeros(prediction.root.shape), *np.empty((3, *shape)),
+        *np.empty((2, shape[0])),
+    )  # fmt: skip
 
 
 def _scratch_sizes(n: int, m: int, p: int, k: int) -> Scratch:
@@ -180,7 +202,7 @@ def _plain(*arrays: Array) -> list[Array]:
 
 
 @lru_cache(maxsize=64)
-def _kernel(motion: Motion, sensor: Sensor, kappa: float) -> ModuleType:
+def _kernel(motion: Motion, sensor: Sensor, kappa: float, width: int) -> ModuleType:
     """The kernel's two templates bound to a pair of models."""
     n, m = len(motion.states), len(sensor.channels)
     constants = {
@@ -197,6 +219,7 @@ def _kernel(motion: Motion, sensor: Sensor, kappa: float) -> ModuleType:
         "CHANNEL_IS_ANGLE": tuple(channel.angle for channel in sensor.channels),
         "NOISE_PATTERN": motion.noise_pattern,
         "SKIPS": m > FEW,
+        "LANES": width,
     }
     # Numba asks the kernel's file alone whether it changed, so the cycle's is part of the name.
     parts = [Path(part) for part in (compiled.__file__, lanes.__file__, CYCLE)]
@@ -208,13 +231,19 @@ def _kernel(motion: Motion, sensor: Sensor, kappa: float) -> ModuleType:
     module = ModuleType(name)
     module.__file__ = str(KERNEL)
     functions = motion.build(compiled)
+    rows = {
+        "rows_of": lanes.rows_of(width),
+        "spread": lanes.spread_over(width),
+        "lift": lanes.lift_to(width),
+    }
     module.__dict__.update(
         constants,
         step=functions.step,
         noise_factor=functions.noise_factor,
         measure=sensor.build(compiled),
+        **rows,
         entry_point=partial(_entry_point, identity=identity),
-        **_accessors(n, m, len(motion.inputs), len(sensor.inputs)),
+        **_accessors(n, m, len(motion.inputs), len(sensor.inputs), rows),
     )
     sys.modules[name] = module  # where the cache looks for the functions it restores
     for template in (CYCLE, KERNEL):
@@ -249,9 +278,10 @@ def _untypable(told: str) -> str:
     )
 
 
-def _accessors(n: int, m: int, p: int, k: int) -> dict:
+def _accessors(n: int, m: int, p: int, k: int, rows: dict) -> dict:
     """Functions between rows and tuples: Numba has no tuple of computed length."""
     points = 2 * n + 1
+    names = {"load": lanes.load, "store": lanes.store, "Scratch": Scratch, **rows}
 
     def gather(count: int, stride: int, offset: str) -> str:
         return "(" + "".join(f"load(v, {i * stride}{offset})," for i in range(count)) + ")"
@@ -267,9 +297,8 @@ def _accessors(n: int, m: int, p: int, k: int) -> dict:
         f"def store_channels(v, j, y): {scatter(m)}\n"
     )
     ends = np.cumsum(_scratch_sizes(n, m, p, k)).tolist()
-    slices = (f"v[{start}:{end}]" for start, end in zip([0, *ends], ends, strict=False))
-    source += f"def scratch_of(v): return Scratch({', '.join(slices)})\n"
+    parts = (f"rows_of(v, {start})" for start in [0, *ends[:-1]])
+    source += f"def scratch_of(v): return Scratch({', '.join(parts)})\n"
     functions: dict = {}
-    names = {"load": lanes.load, "store": lanes.store, "lift": lanes.lift, "Scratch": Scratch}
     exec(source, names, functions)
     return {name: compiled.function(f) for name, f in functions.items()}
