@@ -8,6 +8,7 @@ before its file is written. Here they take turns.
 
 from __future__ import annotations
 
+import gc
 import getpass
 import os
 import tempfile
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from numba import config
+from numba.core import event
 from numba.core.caching import IndexDataCacheFile
 
 LOCK = ".kfenv-kernels.lock"
@@ -32,6 +34,23 @@ def take_turns() -> None:
         former = getattr(IndexDataCacheFile, name)
         if not hasattr(former, "takes_turns"):
             setattr(IndexDataCacheFile, name, _in_turn(former, shared))
+
+
+class _WithoutCollection(event.Listener):
+    """While Numba compiles nobody looks for garbage: what it makes stays in use for long."""
+
+    def __init__(self) -> None:
+        self._collected: list[bool] = []
+
+    def on_start(self, event: event.Event) -> None:
+        """See `numba.core.event.Listener`."""
+        self._collected.append(gc.isenabled())
+        gc.disable()
+
+    def on_end(self, event: event.Event) -> None:
+        """See `numba.core.event.Listener`."""
+        if self._collected.pop():
+            gc.enable()
 
 
 def keep_on_this_machine() -> None:
@@ -93,3 +112,4 @@ def _locked(path: Path, shared: bool) -> Iterator[None]:
 
 
 take_turns()
+event.register("numba:compile", _WithoutCollection())

@@ -1,10 +1,14 @@
 """Processes that compile at once do not spoil the kernels on disk."""
 
+import gc
 import subprocess
 import sys
 import time
 from multiprocessing import get_context
 
+import pytest
+from numba import njit
+from numba.core import event
 from numba.core.caching import IndexDataCacheFile
 
 import kfenv.kernel_cache
@@ -61,3 +65,23 @@ def test_turns_are_taken_once():
     before = IndexDataCacheFile.save
     kfenv.kernel_cache.take_turns()
     assert IndexDataCacheFile.save is before
+
+
+@pytest.mark.parametrize("collected", [True, False])
+def test_garbage_is_not_collected_while_numba_compiles_and_then_as_before(collected):
+    met = []
+
+    class Watch(event.Listener):
+        def on_start(self, event):
+            met.append(gc.isenabled())
+
+        on_end = on_start
+
+    was = gc.isenabled()
+    (gc.enable if collected else gc.disable)()
+    try:
+        with event.install_listener("numba:compile", Watch()):
+            assert njit(lambda a: a + 1)(1) == 2
+        assert met[0] is False and gc.isenabled() is collected
+    finally:
+        (gc.enable if was else gc.disable)()

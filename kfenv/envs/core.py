@@ -200,7 +200,6 @@ class Core(Loop):
         if self.foresight is not None:
             self.foresight.correct(self._arrived, np.where(active, self.status, IDLE))
         self.correct(self._arrived, self._due, active)
-        np.copyto(self._scored, self.index, where=active)
 
     def _foresee(self, active: Mask) -> None:
         """Book the pending innovation as the decision's knobs, still held, foresee it."""
@@ -217,8 +216,8 @@ class Core(Loop):
     def _take_stock(self, begins: bool, active: Mask) -> bool:
         """Score an instant and move on; whether one goes on, see `scoring.account`."""
         return scoring.take_stock(
-            *self._assessed(active), begins, self._nominal_error, self.index, self.lost,
-            *self._sums[:2], self.total_nees, self._sums[2], self._known_error,
+            *self._assessed(active), begins, self._nominal_error, self.index, self._scored,
+            self.lost, *self._sums[:2], self.total_nees, self._sums[2], self._known_error,
         )  # fmt: skip
 
     def _assessed(self, active: Mask) -> tuple:

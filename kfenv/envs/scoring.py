@@ -180,14 +180,20 @@ def account(
 @njit(**KERNEL)
 def take_stock(
     mean, rows, truth, known, lines, weight, statistics, lost_distance, active, status, work,
-    error, nees, begins, nominal_error, index, lost, squared, nominal, total_nees, count,
+    error, nees, begins, nominal_error, index, scored, lost, squared, nominal, total_nees, count,
     known_error,
 ):  # fmt: skip
-    """`assess` and `account` for an instant, with empty sums where the decision begins."""
-    if begins:
-        for b in range(error.shape[0]):
+    """`assess` and `account` for an instant, with empty sums where the decision begins.
+
+    Args:
+        scored: (B,) becomes the instant of each active filter.
+    """
+    for b in range(error.shape[0]):
+        if begins:
             squared[b] = nominal[b] = count[b] = 0.0
             known_error[b] = nan
+        if active[b]:
+            scored[b] = index[b]
     assess(
         mean, rows, truth, known, lines, weight, statistics, lost_distance, active, status, work,
         error, nees,
