@@ -99,17 +99,18 @@ def _run(
         np.zeros((*shape, n)), np.zeros((*shape, n, n)),
         *np.full((3, *shape, channels), np.nan), *np.zeros((2, *shape)),
     )  # fmt: skip
-    for kept, given in zip(predicted, start, strict=True):
-        kept[0] = given
     for t in range(steps):
-        prediction = Prediction(*(array[t] for array in predicted))
         if t > 0:
             before = found.mean[t - 1], found.factor[t - 1]
-            engine.predict(*before, series.motion_inputs[t], series.dt[t], status, prediction)
+            start = engine.predict(*before, series.motion_inputs[t], series.dt[t], status)
+        prediction = Prediction(*(array[t] for array in predicted))
+        for kept, given in zip(prediction, start, strict=True):
+            kept[:] = given
         np.multiply(prediction.noise, knobs[t, :, 2:, None], out=prediction.noise)
-        scales = Knobs(*knobs[t, :, :2].T)
+        scales = Knobs(*knobs[t, :, :2].T.copy())
         seen = Measurement(series.sensor_inputs[t], series.measurement[t], told[t])
-        engine.update(prediction, scales, seen, status, Update(*(array[t] for array in found)))
+        update = Update(*(array[t] for array in found))
+        engine.update_in_place(prediction, scales, seen, status, update)
         sound[t] = status == 0
     inputs = np.concatenate([series.motion_inputs, series.dt[:, :, None]], axis=2)
     return predicted._asdict() | {

@@ -165,8 +165,9 @@ def _functions(motion: Motion, sensor: Sensor, at: Layout) -> ModuleType:
     sys.modules[name] = module  # where the cache looks for the functions it restores
     source = source_of(motion, sensor, at, identity)
     names = {name: getattr(compiled, name) for name in compiled.__all__} | source.tables
-    names |= {name: getattr(lanes, name) for name in ("lift", "load", "store", "where_greater")}
-    module.__dict__.update(names, polynomial=_polynomial, plain=_plain)
+    names |= {name: getattr(lanes, name) for name in ("load", "store", "where_greater")}
+    names |= {"lift": lanes.lift_to(LANES), "polynomial": _polynomial, "plain": _plain}
+    module.__dict__.update(names)
     exec(compile("\n".join(source.lines), module.__file__, "exec"), module.__dict__)
     for part in PARTS:
         function = module.__dict__[f"{part}_{identity}"]
