@@ -15,6 +15,7 @@ from numba import njit
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
+from kfenv.filters import batch_and_lanes
 from kfenv.filters.fingerprint import fingerprint
 from kfenv.filters.protocol import Episodes, Knobs, Measurement, elapsed
 from kfenv.filters.results import Prediction, Run, Update
@@ -221,9 +222,9 @@ def _kernel(motion: Motion, sensor: Sensor, kappa: float, width: int) -> ModuleT
         "SKIPS": m > FEW,
         "LANES": width,
     }
-    # Numba asks the kernel's file alone whether it changed, so the cycle's is part of the name.
-    parts = [Path(part) for part in (compiled.__file__, lanes.__file__, CYCLE)]
-    arithmetic = [part.read_text() for part in parts]
+    # Numba asks the kernel's file alone whether it changed, so the others are part of the name.
+    parts = (compiled.__file__, lanes.__file__, batch_and_lanes.__file__, CYCLE)
+    arithmetic = [Path(part).read_text() for part in parts]
     identity = fingerprint(motion.build, sensor.build, sorted(constants.items()), arithmetic)
     name = f"{__package__}.kernel_{identity}"
     if name in sys.modules:  # made for models that do the same
