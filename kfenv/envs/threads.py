@@ -6,7 +6,7 @@ of one `Core` for all.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from typing import Any
@@ -70,15 +70,6 @@ class ThreadedCore:
     def observation(self) -> NDArray[np.float32]:
         """See `Core.observation`."""
         return np.concatenate(self._together(lambda core, part: core.observation()))
-
-    def share(self, work: Callable[[Any], None], jobs: Sequence[Any]) -> None:
-        """Do jobs in all threads; none may touch what another does."""
-        count = len(self._cores)
-        waiting = [self._pool.submit(work, job) for i, job in enumerate(jobs) if i % count]
-        for job in jobs[::count]:
-            work(job)
-        for future in waiting:
-            future.result()
 
     def _together(self, work: Callable[[Core, slice], Any]) -> list[Any]:
         """What each core's work gives: the first one's in this thread, the others' beside it."""

@@ -280,24 +280,17 @@ class TrackingVectorEnv(VectorEnv):
         }
 
     def _begin(self, mask: NDArray[np.bool_]) -> None:
-        chosen, many = np.flatnonzero(mask), self.scenario.at_once
-        parts = [chosen[first : first + many] for first in range(0, len(chosen), many)]
-        if isinstance(self.core, ThreadedCore):
-            self.core.share(self._place, parts)
-        else:
-            for part in parts:
-                self._place(part)
+        chosen = np.flatnonzero(mask)
+        for first in range(0, len(chosen), self.scenario.at_once):
+            part = chosen[first : first + self.scenario.at_once]
+            rngs = [self._generator(i) for i in part]
+            episodes = part + self.num_envs * self._episodes[part]
+            self.core.place(part, _next_recording(self.scenario, self.options, rngs, episodes))
         self.core.open(chosen)
         self._episodes[chosen] += 1
         self._over[chosen] = False
         self._begun[chosen] = True
         self._steps[chosen] = 0
-
-    def _place(self, part: NDArray[np.int64]) -> None:
-        """Put the next episodes of some sub-environments into the core."""
-        rngs = [self._generator(i) for i in part]
-        episodes = part + self.num_envs * self._episodes[part]
-        self.core.place(part, _next_recording(self.scenario, self.options, rngs, episodes))
 
     def _generator(self, i: int) -> np.random.Generator:
         if self._rngs[i] is None:
