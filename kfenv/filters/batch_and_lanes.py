@@ -6,12 +6,13 @@ where the templates' own are compiled for each pair.
 """
 
 import sys
-from math import isnan, log, nan
+from math import log, nan
 
 from numba import njit
 
+from kfenv.filters.transposed import abreast, hand_out
 from kfenv.models.namespaces.compiled import INNER, TWO_PI
-from kfenv.models.namespaces.lanes import lanes_of, peek, poke, sqrt
+from kfenv.models.namespaces.lanes import lanes_of, load, peek, poke, sqrt, store, where_greater
 
 LARGEST = sys.float_info.max
 OK, BAD_PREDICTION, BAD_INNOVATION, BAD_UPDATE = 0, 1, 2, 3
@@ -20,22 +21,17 @@ OK, BAD_PREDICTION, BAD_INNOVATION, BAD_UPDATE = 0, 1, 2, 3
 @njit(cache=True, **INNER)
 def gather(source, first, target):
     """Lane l of the target takes row first + l of the source (B, K); the last row fills up."""
-    last = source.shape[0] - 1
-    for lane in range(lanes_of(target)):
-        b = min(first + lane, last)
-        for k in range(source.shape[1]):
-            poke(target, k, lane, source[b, k])
+    for k in range(source.shape[1]):
+        store(target, k, abreast(target, source, first, k))
 
 
 @njit(cache=True, **INNER)
 def gather_factor(source, first, target):
     """The same for lower factors (B, n, n): what they have above the diagonal is not read."""
-    last, n = source.shape[0] - 1, source.shape[1]
-    for lane in range(lanes_of(target)):
-        b = min(first + lane, last)
-        for i in range(n):
-            for j in range(i + 1):
-                poke(target, i * n + j, lane, source[b, i, j])
+    n = source.shape[1]
+    for i in range(n):
+        for k in range(i * n, i * n + i + 1):
+            store(target, k, abreast(target, source, first, k))
 
 
 @njit(cache=True, **INNER)
@@ -44,9 +40,7 @@ def gather_posterior(mean, factor, u, dt, first, w):
     gather(mean, first, w.posterior)
     gather_factor(factor, first, w.S)
     gather(u, first, w.u)
-    last = dt.shape[0] - 1
-    for lane in range(lanes_of(w.dt)):
-        poke(w.dt, 0, lane, dt[min(first + lane, last)])
+    store(w.dt, 0, abreast(w.dt, dt, first, 0))
 
 
 @njit(cache=True, **INNER)
@@ -60,11 +54,8 @@ def gather_prediction(mean, root, noise, first, w):
 @njit(cache=True, **INNER)
 def gather_scales(fading, process_scale, first, w):
     """The roots of the two factors (B,) of covariances."""
-    last = fading.shape[0] - 1
-    for lane in range(lanes_of(w.scales)):
-        b = min(first + lane, last)
-        poke(w.scales, 0, lane, sqrt(fading[b]))
-        poke(w.scales, 1, lane, sqrt(process_scale[b]))
+    store(w.scales, 0, sqrt(abreast(w.scales, fading, first, 0)))
+    store(w.scales, 1, sqrt(abreast(w.scales, process_scale, first, 0)))
 
 
 @njit(cache=True, **INNER)
@@ -73,19 +64,14 @@ def gather_measurement(measurement, noise, first, w):
 
     Returns how many channels any lane heard, whose numbers `order` then has in its first lane.
     """
-    last = measurement.shape[0] - 1
-    for lane in range(lanes_of(w.z)):
-        b = min(first + lane, last)
-        count = 0.0
-        for c in range(measurement.shape[1]):
-            here = not isnan(measurement[b, c])
-            poke(w.z, c, lane, measurement[b, c] if here else 0.0)
-            poke(w.sd, c, lane, noise[b, c] if here else 1.0)
-            poke(w.arrived, c, lane, 1.0 if here else 0.0)
-            count += 1.0 if here else 0.0
-        poke(w.count, 0, lane, count)
     heard = 0
     for c in range(measurement.shape[1]):
+        value = abreast(w.z, measurement, first, c)
+        here = where_greater(abs(value), -1.0, 1.0, 0.0)  # not where it is NaN
+        store(w.z, c, where_greater(here, 0.5, value, 0.0))
+        store(w.sd, c, where_greater(here, 0.5, abreast(w.sd, noise, first, c), 1.0))
+        store(w.arrived, c, here)
+        store(w.count, 0, load(w.count, 0) + here if c > 0 else here)
         for lane in range(lanes_of(w.z)):
             if peek(w.arrived, c, lane) > 0.5:
                 poke(w.order, heard, 0, float(c))
@@ -95,59 +81,70 @@ def gather_measurement(measurement, noise, first, w):
 
 
 @njit(cache=True, **INNER)
-def anyone_runs(status, first, w):
-    """Whether a block has a filter to work for."""
-    for b in range(first, min(first + lanes_of(w.dt), status.shape[0])):
-        if status[b] == OK:
-            return True
-    return False
-
-
-@njit(cache=True, **INNER)
-def scatter(source, lane, target, b):
-    """Give a filter its lane back."""
-    for k in range(target.shape[1]):
-        target[b, k] = peek(source, k, lane)
-
-
-@njit(cache=True, **INNER)
-def scatter_factor(source, lane, target, b):
-    """The same for a lower factor; what the target has above the diagonal is left alone."""
-    n = target.shape[1]
-    for i in range(n):
-        for j in range(i + 1):
-            target[b, i, j] = peek(source, i * n + j, lane)
-
-
-@njit(cache=True, **INNER)
-def scatter_prediction(w, first, status, mean, root, noise):
-    """Give the running filters their prediction, or blame it."""
+def who_runs(status, first, w):
+    """Which lanes of a block have a filter to work for: a bit for each."""
+    runs = 0
     for lane in range(min(lanes_of(w.dt), status.shape[0] - first)):
-        b = first + lane
-        if status[b] == OK:
-            scatter(w.predicted, lane, mean, b)
-            scatter_factor(w.L, lane, root, b)
-            scatter_factor(w.Q, lane, noise, b)
-            if not is_finite(w.predicted, w.L, lane, mean.shape[1]):
-                status[b] = BAD_PREDICTION
+        runs |= (1 << lane) if status[first + lane] == OK else 0
+    return runs
+
+
+@njit(cache=True, **INNER)
+def scatter(source, target, first, runs):
+    """Give the filters that run their lanes back, in rows (B, K) of the target."""
+    _scatter(source, target.shape[1], target, first, runs)
+
+
+@njit(cache=True, **INNER)
+def scatter_factor(source, target, first, runs):
+    """The same for lower factors (B, n, n), whose rows of lanes are zero above the diagonal."""
+    _scatter(source, target.shape[1] * target.shape[1], target, first, runs)
+
+
+@njit(cache=True, **INNER)
+def _scatter(source, count, target, first, runs):
+    lanes = lanes_of(source)
+    if count >= lanes:
+        for k in range(0, count, lanes):
+            hand_out(source, min(k, count - lanes), target, first, runs)
+        return
+    for lane in range(lanes):
+        if runs >> lane & 1:
+            row = target[first + lane].ravel()
+            for k in range(count):
+                row[k] = peek(source, k, lane)
+
+
+@njit(cache=True, **INNER)
+def scatter_prediction(w, first, runs, status, mean, root, noise):
+    """Give the running filters their prediction, or blame it; returns who runs on."""
+    scatter(w.predicted, mean, first, runs)
+    scatter_factor(w.L, root, first, runs)
+    scatter_factor(w.Q, noise, first, runs)
+    find_unsound(w.predicted, w.L, mean.shape[1], w)
+    for lane in range(lanes_of(w.dt)):
+        if runs >> lane & 1 and not is_sound(w, lane):
+            status[first + lane] = BAD_PREDICTION
+            runs ^= 1 << lane
+    return runs
 
 
 @njit(cache=True, **INNER)
 def scatter_update(
-    w, first, skips, heard, corrects, status, mean, factor, innovation, variance, whitened, nis,
-    log_likelihood,
+    w, first, runs, skips, heard, corrects, status, mean, factor, innovation, variance, whitened,
+    nis, log_likelihood,
 ):  # fmt: skip
     """Give the running filters their innovation and a state, the predicted one unless it
     corrects; or blame them."""
-    n = mean.shape[1]
-    for lane in range(min(lanes_of(w.dt), status.shape[0] - first)):
-        b = first + lane
-        if status[b] != OK:
+    new_mean = w.posterior if corrects else w.predicted
+    new_factor = w.S if corrects else w.L
+    scatter(new_mean, mean, first, runs)
+    scatter_factor(new_factor, factor, first, runs)
+    find_unsound(new_mean, new_factor, mean.shape[1], w)
+    for lane in range(lanes_of(w.dt)):
+        if not runs >> lane & 1:
             continue
-        new_mean = w.posterior if corrects else w.predicted
-        new_factor = w.S if corrects else w.L
-        scatter(new_mean, lane, mean, b)
-        scatter_factor(new_factor, lane, factor, b)
+        b = first + lane
         for c in range(innovation.shape[1]):
             here = peek(w.arrived, c, lane) > 0.5
             innovation[b, c] = peek(w.innovation, c, lane) if here else nan
@@ -156,20 +153,26 @@ def scatter_update(
         nis[b], log_likelihood[b] = assess(w, skips, heard, lane, innovation.shape[1])
         if peek(w.count, 0, lane) > 0.5 and not abs(nis[b]) <= LARGEST:
             status[b] = BAD_INNOVATION
-        elif not is_finite(new_mean, new_factor, lane, n):
+        elif not is_sound(w, lane):
             status[b] = BAD_UPDATE if corrects else BAD_PREDICTION
 
 
 @njit(cache=True, **INNER)
-def is_finite(mean, factor, lane, n):
-    """Whether a lane holds nothing infinite and no NaN."""
+def find_unsound(mean, factor, n, w):
+    """Mark lanes that hold anything infinite or NaN, see `is_sound`."""
+    total = 0.0 * load(mean, 0)
     for i in range(n):
-        if not abs(peek(mean, i, lane)) <= LARGEST:
-            return False
-        for j in range(i + 1):
-            if not abs(peek(factor, i * n + j, lane)) <= LARGEST:
-                return False
-    return True
+        row = 0.0 * load(mean, i)
+        for k in range(i * n, i * n + i + 1):
+            row = row + 0.0 * load(factor, k)
+        total = total + row
+    store(w.unsound, 0, total)
+
+
+@njit(cache=True, **INNER)
+def is_sound(w, lane):
+    """Whether a lane held nothing infinite and no NaN: zero times that is NaN."""
+    return peek(w.unsound, 0, lane) == 0.0
 
 
 @njit(cache=True, **INNER)

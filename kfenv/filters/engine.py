@@ -15,7 +15,7 @@ from numba import njit
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
-from kfenv.filters import batch_and_lanes
+from kfenv.filters import batch_and_lanes, transposed
 from kfenv.filters.fingerprint import fingerprint
 from kfenv.filters.protocol import Episodes, Knobs, Measurement, elapsed
 from kfenv.filters.results import Prediction, Run, Update
@@ -50,6 +50,7 @@ class Scratch(NamedTuple):
     sd: Rows
     arrived: Rows  # 1 for a channel that arrived, otherwise 0
     count: Rows
+    unsound: Rows  # zero, or NaN where mean or factor are not finite
     order: Rows  # numbers of the channels that any lane heard
     innovation: Rows
     variance: Rows
@@ -188,7 +189,8 @@ def _scratch_sizes(n: int, m: int, p: int, k: int) -> Scratch:
     points = 2 * n + 1
     return Scratch(
         posterior=n, predicted=n, S=n * n, L=n * n, Q=n * n, u=p, s=k, dt=1, scales=2,
-        z=m, sd=m, arrived=m, count=1, order=m, innovation=m, variance=m, whitened=m,
+        z=m, sd=m, arrived=m, count=1, unsound=1, order=m, innovation=m, variance=m,
+        whitened=m,
         X=n * points, Z=m * points, A=max(n * (n + m), m * (n + 1)),
         U=m * n, Re=m * m, C=m * m, K=m * n,
     )  # fmt: skip
@@ -223,8 +225,8 @@ def _kernel(motion: Motion, sensor: Sensor, kappa: float, width: int) -> ModuleT
         "LANES": width,
     }
     # Numba asks the kernel's file alone whether it changed, so the others are part of the name.
-    parts = (compiled.__file__, lanes.__file__, batch_and_lanes.__file__, CYCLE)
-    arithmetic = [Path(part).read_text() for part in parts]
+    modules = compiled, lanes, transposed, batch_and_lanes
+    arithmetic = [Path(part).read_text() for part in (*(m.__file__ for m in modules), CYCLE)]
     identity = fingerprint(motion.build, sensor.build, sorted(constants.items()), arithmetic)
     name = f"{__package__}.kernel_{identity}"
     if name in sys.modules:  # made for models that do the same

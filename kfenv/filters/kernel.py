@@ -11,17 +11,18 @@ from kfenv.filters.batch_and_lanes import (
     BAD_UPDATE,
     LARGEST,
     OK,
-    anyone_runs,
     assess,
+    find_unsound,
     gather,
     gather_factor,
     gather_measurement,
     gather_posterior,
     gather_prediction,
     gather_scales,
-    is_finite,
+    is_sound,
     scatter_prediction,
     scatter_update,
+    who_runs,
 )
 from kfenv.models.namespaces.lanes import lanes_of, peek
 
@@ -38,12 +39,13 @@ def advance(predicts, innovates, corrects, mean, factor, u, dt, predicted, root,
     """
     w = scratch_of(scratch)
     for first in range(0, status.shape[0], lanes_of(w.dt)):
-        if not anyone_runs(status, first, w):
+        runs = who_runs(status, first, w)
+        if not runs:
             continue
         if predicts:
             gather_posterior(mean, factor, u, dt, first, w)
             _predict_lanes(w)
-            scatter_prediction(w, first, status, predicted, root, noise)
+            runs = scatter_prediction(w, first, runs, status, predicted, root, noise)
             _copy(w.L, w.S, _plain(N * N))
         else:
             gather_prediction(predicted, root, noise, first, w)
@@ -57,8 +59,8 @@ def advance(predicts, innovates, corrects, mean, factor, u, dt, predicted, root,
             _innovate_lanes(w, heard)
         if corrects:
             _correct_lanes(w, heard)
-        scatter_update(w, first, SKIPS, heard, corrects, status, new_mean, new_factor, innovation,
-                       variance, whitened, nis, log_likelihood)  # fmt: skip
+        scatter_update(w, first, runs, SKIPS, heard, corrects, status, new_mean, new_factor,
+                       innovation, variance, whitened, nis, log_likelihood)  # fmt: skip
 
 
 @entry_point
@@ -78,8 +80,9 @@ def run(mean, factor, dt, u, s, measurement, deviation, fading, process_scale, s
                 _predict_lanes(w)
             else:
                 _start(w)
+            find_unsound(w.predicted, w.L, _plain(N), w)
             for lane in range(lanes):
-                if status[first + lane] == OK and not is_finite(w.predicted, w.L, lane, N):
+                if status[first + lane] == OK and not is_sound(w, lane):
                     status[first + lane] = BAD_PREDICTION
                     failed_at[first + lane] = t
             _copy(w.L, w.S, _plain(N * N))
@@ -89,6 +92,7 @@ def run(mean, factor, dt, u, s, measurement, deviation, fading, process_scale, s
             if heard:
                 _innovate_lanes(w, heard)
             _correct_lanes(w, heard)
+            find_unsound(w.posterior, w.S, _plain(N), w)
             for lane in range(lanes):
                 b = first + lane
                 if status[b] != OK:
@@ -96,7 +100,7 @@ def run(mean, factor, dt, u, s, measurement, deviation, fading, process_scale, s
                 nis[b, t] = assess(w, SKIPS, heard, lane, M)[0]
                 if peek(w.count, 0, lane) > 0.5 and not abs(nis[b, t]) <= LARGEST:
                     status[b], failed_at[b] = BAD_INNOVATION, t
-                elif not is_finite(w.posterior, w.S, lane, N):
+                elif not is_sound(w, lane):
                     status[b], failed_at[b] = BAD_UPDATE, t
                 else:
                     for i in range(N):
