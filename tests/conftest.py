@@ -21,12 +21,14 @@ def pytest_configure(config):
 
 
 def compile_kernels(env_id: str) -> None:
-    """Make, reset and step once; the improvement reward runs whole recordings as well."""
+    """Step once alone and in a vector; the improvement reward runs whole recordings as well."""
     import gymnasium
 
-    env = gymnasium.make(env_id, reward="improvement")
-    env.reset(seed=0)
-    env.step(env.action_space.sample() * 0.0)
+    one = gymnasium.make(env_id, reward="improvement", observation="full")
+    few = gymnasium.make_vec(env_id, num_envs=2, vectorization_mode="vector_entry_point")
+    for env in (one, few):
+        env.reset(seed=0)
+        env.step(env.action_space.sample() * 0.0)
 
 
 LONG = ("test_notebooks.py", "test_tuned_filter.py", "test_determinism.py", "test_reproduction.py")

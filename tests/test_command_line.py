@@ -15,6 +15,7 @@ from kfenv.agents.bench import Row
 from kfenv.agents.cli import speed
 from kfenv.agents.cli.app import app
 from kfenv.agents.cli.console import complaints
+from numba import config
 from typer.testing import CliRunner
 
 ENV = "kfenv/RadarTracking-v0"
@@ -122,6 +123,7 @@ def test_a_damaged_cache_of_compiled_code_is_told_in_a_sentence(tmp_path, monkey
     module = tmp_path / "compiled_once.py"
     module.write_text("from numba import njit\n\n@njit(cache=True)\ndef f(x):\n    return x + 1\n")
     monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(config, "CACHE_DIR", "")  # beside the module, wherever others are kept
     assert importlib.import_module("compiled_once").f(1) == 2
     [index] = tmp_path.rglob("*.nbi")
     for content in (b"", index.read_bytes()[:40]):

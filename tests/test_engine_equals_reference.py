@@ -14,6 +14,7 @@ from kfenv.filters.reference import ReferenceFilter
 from kfenv.filters.results import Prediction
 from kfenv.models.radar import radar
 from kfenv.models.variable_turn import variable_turn
+from kfenv.scenarios.radar.tracking import RadarTracking
 
 TOLERANCE = 1e-9
 # Each choice costs seconds of compilation; the spread of the points does not know the models.
@@ -107,6 +108,13 @@ def test_a_lane_alone_gives_the_bits_of_eight():
     for alone, together in zip(*steps, strict=True):
         for mine, theirs in zip([*alone[0], *alone[1]], [*together[0], *together[1]], strict=True):
             np.testing.assert_array_equal(mine, theirs)
+
+
+def test_what_is_taken_of_a_recording_can_be_written():
+    """Numba compiles for arrays that are read-only, as a recording's are, anew: seconds."""
+    recording = RadarTracking(duration=2.0).sample([np.random.default_rng(0)])
+    assert not recording.measurement.flags.writeable
+    assert all(array.flags.carray for array in measured(recording, 1))
 
 
 @pytest.mark.parametrize("tier", [Engine, ReferenceFilter])

@@ -33,7 +33,7 @@ def log_likelihoods(env, recording, process_noise, noise, steps):
     mean, factor, status, told = recording.mean, recording.factor, np.zeros(1, np.int64), []
     dt = np.diff(recording.time, prepend=recording.time[0])
     for t in range(steps):
-        inputs = np.ascontiguousarray(recording.motion_inputs[:, t])
+        inputs = recording.motion_inputs[:, t].copy()
         predicted = engine.predict(mean, factor, inputs, dt[t : t + 1], status)
         if t == 0:
             predicted = predicted._replace(mean=mean, root=factor, noise=np.zeros_like(factor))

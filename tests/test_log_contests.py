@@ -22,7 +22,7 @@ def paths(tmp_path_factory):
 def on_log(command, paths, output, *options):
     arguments = [
         command, INERTIAL, "--option", f"log={json.dumps(paths)}", "--output", str(output),
-        "--rate", "20", *options,
+        "--rate", "10", *options,
     ]  # fmt: skip
     return CliRunner().invoke(app, arguments)
 

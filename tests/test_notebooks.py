@@ -6,6 +6,7 @@ from pathlib import Path
 import kfenv.agents
 import nbformat
 import pytest
+from jupyter_client.manager import start_new_kernel
 from nbclient import NotebookClient
 from rinex_files import BROADCAST, OBSERVED, needs_rinex
 
@@ -119,15 +120,25 @@ def test_the_reproduction_has_what_its_notebook_shows():
         assert any(f"{name[:-1]}{end}" in programs for end in (" (", '"')), name
 
 
+@pytest.fixture(scope="module")
+def kernel(tmp_path_factory):
+    """One for all, whose imports and compiled code every notebook but the first finds made."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("IPYTHONDIR", str(tmp_path_factory.mktemp("ipython")))
+        manager, client = start_new_kernel(kernel_name="python3")
+    client.stop_channels()
+    yield manager
+    manager.shutdown_kernel(now=True)
+
+
 @pytest.mark.parametrize("name", [pytest.param(n, marks=NEEDS.get(n, ())) for n in SHORT])
-def test_it_runs_and_computes_what_it_says(name, tmp_path, tmp_path_factory, monkeypatch):
-    monkeypatch.setenv("IPYTHONDIR", str(tmp_path_factory.mktemp("ipython")))
+def test_it_runs_and_computes_what_it_says(name, kernel, tmp_path):
     notebook, (parameters, checks) = stored(name), SHORT[name]
     (place,) = [
         i for i, cell in enumerate(notebook.cells) if "parameters" in cell.metadata.get("tags", [])
     ]
     notebook.cells.insert(place + 1, nbformat.v4.new_code_cell(parameters))
     notebook.cells.append(nbformat.v4.new_code_cell(checks))
-    resources = {"metadata": {"path": str(tmp_path)}}
-    NotebookClient(notebook, timeout=240, kernel_name="python3", resources=resources).execute()
+    notebook.cells.insert(0, nbformat.v4.new_code_cell(f"%reset -f\n%cd -q {tmp_path}"))
+    NotebookClient(notebook, timeout=240, km=kernel).execute()
     assert not list(tmp_path.iterdir())

@@ -60,7 +60,7 @@ class Okf(CompiledFilter):
             if t == 0:
                 prediction = Prediction(mean, factor, np.zeros_like(factor))
             else:
-                inputs = np.ascontiguousarray(recording.motion_inputs[:, t])
+                inputs = recording.motion_inputs[:, t].copy()
                 prediction = engine.predict(mean, factor, inputs, dt[:, t].copy(), status)
                 prediction = prediction._replace(noise=noise)
             pending = measured(recording, t)

@@ -227,7 +227,7 @@ class Bank:
             means[sound, t], factors[sound, t] = mixed.mean[sound], mixed.factor[sound]
             nis[sound, t] = components.nis[sound]
             if t + 1 < steps:
-                inputs = np.ascontiguousarray(episodes.motion_inputs[:, t + 1])
+                inputs = episodes.motion_inputs[:, t + 1].copy()
                 prediction = self.predict(mixed, inputs, dt[:, t].copy(), status)
         return History(means, nis, status, failed_at, factors @ factors.swapaxes(-1, -2), factors)
 

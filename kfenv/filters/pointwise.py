@@ -132,7 +132,7 @@ class PointwiseFilter:
             sound = status == OK
             means[sound, t], nis[sound, t] = told.mean[sound], told.nis[sound]
             if t + 1 < steps:
-                known = np.ascontiguousarray(episodes.motion_inputs[:, t + 1])
+                known = episodes.motion_inputs[:, t + 1].copy()
                 passed = dt[:, t + 1].copy()
                 prediction = self.predict(told.mean, told.factor, known, passed, status)
                 failed_at[(status != OK) & (failed_at < 0)] = t + 1

@@ -72,9 +72,9 @@ class Episodes(Protocol):
 
 
 def measured(episodes: Episodes, t: int) -> Measurement:
-    """What arrives at the instant of index t."""
+    """What arrives at the instant of index t: copies, since an episode's own are read-only."""
     series = episodes.sensor_inputs, episodes.measurement, episodes.noise
-    return Measurement(*(np.ascontiguousarray(array[:, t]) for array in series))
+    return Measurement(*(array[:, t].copy() for array in series))
 
 
 def elapsed(episodes: Episodes) -> Array:

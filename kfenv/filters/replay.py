@@ -50,7 +50,7 @@ def replay(
             prediction = Prediction(mean.copy(), factor.copy(), np.zeros_like(factor))
             blame(status, BAD_PREDICTION, mean, factor)
         else:
-            inputs = np.ascontiguousarray(episodes.motion_inputs[:, t])
+            inputs = episodes.motion_inputs[:, t].copy()
             prediction = tier.predict(mean, factor, inputs, dt[:, t].copy(), status)
         pending = prediction, knobs, measured(episodes, t), status
         if rule is None or np.isnan(episodes.measurement[:, t]).all():
