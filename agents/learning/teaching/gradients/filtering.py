@@ -108,7 +108,7 @@ def _run(
             kept[:] = given
         np.multiply(prediction.noise, knobs[t, :, 2:, None], out=prediction.noise)
         scales = Knobs(*knobs[t, :, :2].T.copy())
-        seen = Measurement(series.sensor_inputs[t], series.measurement[t], told[t])
+        seen = Measurement(series.sensor_inputs[t].copy(), series.measurement[t], told[t])
         update = Update(*(array[t] for array in found))
         engine.update_in_place(prediction, scales, seen, status, update)
         sound[t] = status == 0
