@@ -6,6 +6,9 @@
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
+import pytest
+from matplotlib.figure import Figure
+
 import kfenv
 
 
@@ -29,6 +32,20 @@ def compile_kernels(env_id: str) -> None:
     for env in (one, few):
         env.reset(seed=0)
         env.step(env.action_space.sample() * 0.0)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def coarse_figures():
+    """Without a layout, in few pixels: a good one takes half a second, and nobody looks."""
+    draw = Figure.savefig
+
+    def savefig(figure, *arguments, **keywords):
+        figure.set_layout_engine("none")
+        draw(figure, *arguments, **keywords | {"dpi": 30})
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", savefig)
+        yield
 
 
 LONG = ("test_notebooks.py", "test_tuned_filter.py", "test_determinism.py", "test_reproduction.py")
