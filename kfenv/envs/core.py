@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kfenv.addresses import Addresses
 from kfenv.envs import rewards, scoring
 from kfenv.envs.foresight import Foresight
 from kfenv.envs.loop import Loop
@@ -69,9 +70,30 @@ class Core(Loop):
         self._sums = tuple(np.zeros((3, batch)))
         self._known_error = np.zeros(batch)
         self._pends = np.zeros(batch, bool)
+        self._note_addresses_of_episodes()
         self.foresight = None
         if options.reward in rewards.LABEL_FREE:
             self.foresight = Foresight(options.reward, self.filter, scenario.sensor, batch, n)
+
+    def _note_addresses_of_episodes(self) -> None:
+        """Of what kernels are handed at every instant."""
+        squared, nominal, count = self._sums
+        known, status, pends, episode = self._known, self.status, self._pends, self._episode
+        series = ("measurement", "noise", "sensor_inputs", "motion_inputs")
+        self._arriving = Addresses(
+            self.index, *(episode[name] for name in series), self._dt, episode["truth"],
+            episode["scored"], self._arrived.value, self._arrived.noise, self._arrived.inputs,
+            self._motion_inputs, self._passed, self._due, self._truth, known, self._held,
+        )  # fmt: skip
+        self._counting = Addresses(
+            known, self._lines, self._weight, self._statistics, status, self._work, self.error,
+            self.nees, self._nominal_error, self.index, self._scored, self.lost, squared, nominal,
+            self.total_nees, count, self._known_error,
+        )  # fmt: skip
+        self._closing = Addresses(
+            self._known_error, squared, count, self.lost, self.index, status, pends, self.error,
+            self.total_squared_error, self.total_scored,
+        )  # fmt: skip
 
     # ----- episodes -----------------------------------------------------------------
 
@@ -137,13 +159,8 @@ class Core(Loop):
             self._foresee(active)
             if not goes_on:
                 break
-        squared, _, count = self._sums
         lost, ended = np.empty(self.batch, bool), np.empty(self.batch, bool)
-        scoring.close(
-            running, self._known_error, squared, count, self.lost, self.index, self._steps,
-            self.status, self.error, self.total_squared_error, self.total_scored, self._pends,
-            lost, ended,
-        )  # fmt: skip
+        scoring.close(self._closing.table, running, self._steps, lost, ended)
         reward = self._reward(begin)
         rewards.withhold(running, reward)
         return reward, lost, ended
@@ -187,14 +204,7 @@ class Core(Loop):
 
     def _arrive(self) -> None:
         """Take what the episodes hold at each filter's index."""
-        episode = self._episode
-        scoring.arrive(
-            self.index, self.scenario.steps_per_measurement, episode["measurement"],
-            episode["noise"], episode["sensor_inputs"], episode["motion_inputs"], self._dt,
-            episode["truth"], episode["scored"], self._arrived.value, self._arrived.noise,
-            self._arrived.inputs, self._motion_inputs, self._passed, self._due, self._truth,
-            self._known, self._held,
-        )  # fmt: skip
+        scoring.arrive(self._arriving.table, self.scenario.steps_per_measurement)
 
     def _correct(self, active: Mask) -> None:
         if self.foresight is not None:
@@ -211,25 +221,24 @@ class Core(Loop):
         self.foresight.look(foreseen, self._arrived, self._passed, work)
 
     def _score(self, active: Mask) -> None:
-        scoring.assess(*self._assessed(active))
+        mean, rows, truth = self._assessed()
+        scoring.assess(
+            mean, rows, truth, self._known, self._lines, self._weight, self._statistics,
+            self.scenario.lost_distance, active, self.status, self._work, self.error, self.nees,
+        )  # fmt: skip
 
     def _take_stock(self, begins: bool, active: Mask) -> bool:
         """Score an instant and move on; whether one goes on, see `scoring.account`."""
-        return scoring.take_stock(
-            *self._assessed(active), begins, self._nominal_error, self.index, self._scored,
-            self.lost, *self._sums[:2], self.total_nees, self._sums[2], self._known_error,
-        )  # fmt: skip
+        distance = self.scenario.lost_distance
+        return scoring.take_stock(self._counting.table, *self._assessed(), active, distance, begins)
 
-    def _assessed(self, active: Mask) -> tuple:
-        """What `scoring.assess` is told of."""
+    def _assessed(self) -> tuple[Array, Array, Array]:
+        """Mean, rows of the factor and truth that `scoring.assess` is told of."""
         mean, truth = self._update.mean, self._truth
         rows = self.yardstick.matrix(mean, self._update.factor)
         if self.has_truth:
             mean, truth = self.yardstick.vector(mean), self.yardstick.vector(truth)
-        return (
-            mean, rows, truth, self._known, self._lines, self._weight, self._statistics,
-            self.scenario.lost_distance, active, self.status, self._work, self.error, self.nees,
-        )  # fmt: skip
+        return mean, rows, truth
 
     # ----- what the agent sees ------------------------------------------------------
 

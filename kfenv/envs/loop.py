@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kfenv.addresses import Addresses
 from kfenv.envs import statistics
 from kfenv.envs.channels import Channels
 from kfenv.envs.knobs import choose_knobs, knobs_of, knobs_of_channels
@@ -105,6 +106,22 @@ class Loop:
         self.observation_size = len(self.feature_names())
         groups, common = len(sensor.groups), statistics.common_size(yardstick.rates)
         self._common_size = groups * statistics.PER_GROUP + common
+        self._note_addresses()
+
+    def _note_addresses(self) -> None:
+        """Of what kernels are handed at every instant."""
+        pending, status, work = self._pending, self.status, self._work
+        self._turning = Addresses(
+            self.factors, self._group_knob, self._channel_knob, self._state_knob,
+            self._prediction.noise, status, *self._knobs, self._told, self._turned.noise, work,
+        )  # fmt: skip
+        self._noticing = Addresses(
+            pending.whitened, self._group, self._statistics, self._since, work, status
+        )
+        self._observing = Addresses(
+            pending.whitened, pending.variance, self._lines, pending.factor, self._rates,
+            self._weight, self._group, self._statistics, self._since, self._action, status,
+        )  # fmt: skip
 
     def _prepare_knobs(self, sensor: Sensor, channels: type[Channels]) -> None:
         options, names = self.options, [channel.name for channel in sensor.channels]
@@ -171,11 +188,7 @@ class Loop:
         self, arrived: Measurement, due: Mask, active: Mask
     ) -> tuple[Prediction, Knobs, Measurement]:
         """Prediction, knobs and measurement as the factors make them, and the status to work by."""
-        statistics.apply_knobs(
-            self.factors, due, arrived.noise, self._group_knob, self._channel_knob,
-            self._state_knob, self._prediction.noise, active, self.status, *self._knobs,
-            self._told, self._turned.noise, self._work,
-        )  # fmt: skip
+        statistics.apply_knobs(self._turning.table, due, arrived.noise, active)
         return self._turned, self._knobs, Measurement(arrived.inputs, arrived.value, self._told)
 
     @property
@@ -221,10 +234,7 @@ class Loop:
         self._notice(arrived, dt, active)
 
     def _notice(self, arrived: Measurement, dt: Array, active: Mask) -> None:
-        statistics.notice(
-            self._pending.whitened, self._group, self._statistics, self._since, dt, self._work,
-            active, self.status,
-        )  # fmt: skip
+        statistics.notice(self._noticing.table, dt, active)
         if self._channels is not None:
             self._channels.collect(self._pending, arrived, self._work == 0)
         if self._memory is not None:
@@ -245,10 +255,8 @@ class Loop:
         out = np.zeros((self.batch, self.observation_size))
         rows = self.yardstick.matrix(self._pending.mean, self._pending.factor)
         statistics.observe(
-            self._pending.whitened, self._pending.variance, noise, rows, self._lines,
-            self._pending.factor, self._rates, self._weight, self.scenario.error_scale,
-            self._group, self._statistics, self._since, pends, self._action, self.status, out,
-        )  # fmt: skip
+            self._observing.table, noise, rows, self.scenario.error_scale, pends, out
+        )
         at = self._common_size
         if self._channels is None and self._memory is None:
             return out

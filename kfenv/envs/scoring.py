@@ -10,6 +10,7 @@ from math import floor, inf, isnan, nan, pi, sqrt
 import numpy as np
 from numba import njit
 
+from kfenv.addresses import arrays_at
 from kfenv.envs.statistics import RUNAWAY, RUNAWAY_WINDOW, deviation, select
 from kfenv.kernel_cache import INNER_KERNEL, KERNEL
 
@@ -17,16 +18,18 @@ TWO_PI = 2.0 * pi
 
 
 @njit(**KERNEL)
-def arrive(
-    index, steps_per_measurement, measurement, noise, sensor_inputs, motion_inputs, dt, truth,
-    scored, value, told, sensor_input, motion_input, passed, due, here, known, held,
-):  # fmt: skip
+def arrive(table, steps_per_measurement):
     """Take what episodes (B, T, ...) hold at each filter's index, or at the last one beyond it.
 
     Args:
-        due: (B,) becomes whether the instant is one of the sensor's.
-        held: (B,) seconds from the instant before, at first those to the next.
+        table: the addresses of the index, of the episodes, and of what is taken; of that `due`
+            (B,) is whether the instant is one of the sensor's, and `held` (B,) the seconds from
+            the instant before, at first those to the next.
     """
+    (
+        index, measurement, noise, sensor_inputs, motion_inputs, dt, truth, scored,
+        value, told, sensor_input, motion_input, passed, due, here, known, held,
+    ) = arrays_at(table, "i fff fff fff fff ff fff ff ff ff ff ff f b ff b f")  # fmt: skip
     last = dt.shape[1] - 1
     for b in range(index.shape[0]):
         t = min(index[b], last)
@@ -178,16 +181,17 @@ def account(
 
 
 @njit(**KERNEL)
-def take_stock(
-    mean, rows, truth, known, lines, weight, statistics, lost_distance, active, status, work,
-    error, nees, begins, nominal_error, index, scored, lost, squared, nominal, total_nees, count,
-    known_error,
-):  # fmt: skip
+def take_stock(table, mean, rows, truth, active, lost_distance, begins):
     """`assess` and `account` for an instant, with empty sums where the decision begins.
 
     Args:
-        scored: (B,) becomes the instant of each active filter.
+        table: the addresses of all else that these two are given, and of the instant at which
+            each active filter was scored.
     """
+    (
+        known, lines, weight, statistics, status, work, error, nees, nominal_error, index,
+        scored, lost, squared, nominal, total_nees, count, known_error,
+    ) = arrays_at(table, "b ii f fff i i f f ff i i b f f f f f")  # fmt: skip
     for b in range(error.shape[0]):
         if begins:
             squared[b] = nominal[b] = count[b] = 0.0
@@ -205,15 +209,16 @@ def take_stock(
 
 
 @njit(**KERNEL)
-def close(
-    running, known_error, squared, count, lost, index, steps, status, error, total_squared,
-    total_count, pends, lost_now, ended,
-):  # fmt: skip
+def close(table, running, steps, lost_now, ended):
     """Add a decision's sums to the episodes', and tell whose ended by it, and how.
 
     Args:
-        pends: see `waiting`.
+        table: the addresses of the decision's last error, its sum of squares and their count, of
+            what `waiting` is given and tells, and of the episodes' error, sum and count.
     """
+    known_error, squared, count, lost, index, status, pends, error, total_squared, total_count = (
+        arrays_at(table, "f f f b i i b f f f")
+    )
     waiting(index, steps, lost, status, pends)
     for b in range(error.shape[0]):
         total_squared[b] += squared[b]

@@ -11,6 +11,7 @@ from math import exp, inf, isfinite, isnan, log, nan, sqrt
 
 from numba import njit
 
+from kfenv.addresses import arrays_at
 from kfenv.kernel_cache import INNER_KERNEL, KERNEL
 
 # Exponential windows of the squared innovations, in arrivals; the last one also
@@ -81,21 +82,23 @@ def turn_knobs(action, running, log_low, log_high, position, factors, last_actio
 
 
 @njit(**KERNEL)
-def apply_knobs(
-    factors, due, noise, group_knob, channel_knob, state_knob, process, active, status,
-    fading, process_scale, told, turned, work,
-):  # fmt: skip
+def apply_knobs(table, due, noise, active):
     """Write what the factors make of a filter's numbers, and the status to work by.
 
     Args:
+        table: the addresses of factors, of the places (m,) in them of the knobs of each channel's
+            group and of each channel, and (n,) of those of each state's group, -1 for none, ()
+            without such knobs; of the factors (B, n, n) of the process noise, and the status;
+            then of what is written: fading, scale of the process noise, deviations (B, m) that
+            the filter is told, turned factors of the process noise where there are such knobs,
+            status to work by.
         due: fading acts where the instant is one of the sensor's.
-        noise, process: deviations (B, m) and factors (B, n, n) of the process noise.
-        group_knob, channel_knob: places (m,) in `factors` of the knobs of each channel's group
-            and of each channel.
-        state_knob: (n,) of the knobs of each state's group, -1 for none; () without such knobs.
-        fading, process_scale, told, turned, work: are written, the turned factors of the process
-            noise only where there are such knobs.
+        noise: deviations (B, m).
     """
+    (
+        factors, group_knob, channel_knob, state_knob, process, status,
+        fading, process_scale, told, turned, work,
+    ) = arrays_at(table, "ff i i i fff i f f ff fff i")  # fmt: skip
     select(active, status, work)
     for b in range(factors.shape[0]):
         fading[b] = factors[b, 0] if due[b] else 1.0
@@ -128,8 +131,13 @@ def settle(work, active, status, mean, nis):
 
 
 @njit(**KERNEL)
-def notice(whitened, group_of_channel, statistics, since, dt, work, active, status):
-    """Take over how forming the innovations ended, and the innovations into the statistics."""
+def notice(table, dt, active):
+    """Take over how forming the innovations ended, and the innovations into the statistics.
+
+    Args:
+        table: the addresses of what `collect` is given, and of the status to be kept.
+    """
+    whitened, group_of_channel, statistics, since, work, status = arrays_at(table, "ff i fff f i i")
     for b in range(work.shape[0]):
         if active[b]:
             status[b] = work[b]
@@ -164,18 +172,23 @@ def collect(whitened, group_of_channel, statistics, since, dt, status):
 
 
 @njit(**KERNEL)
-def observe(
-    whitened, variance, sd, rows, lines, factor, rates, weight, error_scale, group_of_channel,
-    statistics, since, pending, action, status, out,
-):  # fmt: skip
+def observe(table, sd, rows, error_scale, pending, out):
     """Write each filter's observation, without that of single channels and of a memory.
 
     Where nothing is pending (an episode's end) the group features of the present are zero.
 
     Args:
-        rows, lines: of the quantities that are scored.
-        factor, rates: of the states and those that are the quantities' rates, if there are any.
+        table: the addresses of the innovations, whitened, and their variance; of the lines of the
+            quantities that are scored, the factor of the states, and the lines of those that are
+            the quantities' rates, if there are any; then of their weights, the channels' groups,
+            the statistics, the seconds since something arrived, the last action, the status.
+        sd: (B, m) deviations that the filter is told.
+        rows: of the quantities.
     """
+    (
+        whitened, variance, lines, factor, rates, weight, group_of_channel, statistics, since,
+        action, status,
+    ) = arrays_at(table, "ff ff ii fff ii f i fff f ff i")  # fmt: skip
     groups = statistics.shape[1]
     for b in range(whitened.shape[0]):
         for g in range(groups):
