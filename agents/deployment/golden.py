@@ -66,7 +66,7 @@ def golden(deployable: Deployable) -> Golden:
         else:
             loop.look(arrived, passed, ONE)
         if t % loop.interval == 0:
-            observation = loop.features(arrived.noise, np.array([loop.interval * dt]), ONE)
+            observation = loop.features(arrived.noise, np.array([dt]), ONE)
             action, held = network.decide(observation, held)
             loop.turn(np.clip(action, -1.0, 1.0), ONE)
         if loop.status[0]:

@@ -210,8 +210,7 @@ class TunedFilter:
         """The agent's action (1, K), as a contest asks for it."""
         observation, info = None, {}
         if self.agent.sees != "nothing":
-            held = np.array([self._loop.interval * dt])
-            observation = self._loop.observe(noise, held, ONE)
+            observation = self._loop.observe(noise, np.array([dt]), ONE)
         if self.agent.sees == "innovation":
             info = {"time": self._updated, **self._loop.tell(noise, ONE)}
         return np.minimum(np.maximum(self.agent.act(observation, info), -1.0), 1.0)

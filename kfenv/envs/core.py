@@ -244,22 +244,18 @@ class Core(Loop):
 
     def observation(self) -> NDArray[np.float32]:
         """A fresh (B, D) array; see `feature_names`."""
-        return self.observe(self._arrived.noise, self.interval * self._held, self._pends)
+        return self.observe(self._arrived.noise, self._held, self._pends)
 
     def information(self) -> dict[str, Any]:
         """Fresh arrays (B, ...) for the info dictionary; nothing of them is in the observation."""
-        time, error, nees = np.empty(self.batch), np.empty(self.batch), np.empty(self.batch)
-        truth = np.empty(self._truth.shape)
-        scoring.recall(
-            self._scored, self.time, self.error, self.nees, self._episode["truth"], time, error,
-            nees, truth,
-        )  # fmt: skip
+        time, truth = np.empty(self.batch), np.empty(self._truth.shape)
+        scoring.recall(self._scored, self.time, self._episode["truth"], time, truth)
         info: dict[str, Any] = {
             "time": time,
-            self.yardstick.error_name: error,
+            self.yardstick.error_name: self.error.copy(),
             **self.tell(self._arrived.noise, self._pends),
         }
-        return info | {"nees": nees, "truth": truth} if self.has_truth else info
+        return info | {"nees": self.nees.copy(), "truth": truth} if self.has_truth else info
 
     def scored_covariance(self) -> Array:
         """A fresh (B, d, d): the posterior covariance of what is scored, e.g. the position, m^2."""

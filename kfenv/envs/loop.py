@@ -240,16 +240,16 @@ class Loop:
         if self._memory is not None:
             self._memory.collect(self._pending, arrived, dt, self._work == 0)
 
-    def observe(self, noise: Array, held: Array, pends: Mask) -> NDArray[np.float32]:
+    def observe(self, noise: Array, passes: Array, pends: Mask) -> NDArray[np.float32]:
         """The observation, a fresh (B, D) array: `features` in single precision."""
-        return self.features(noise, held, pends).astype(np.float32)
+        return self.features(noise, passes, pends).astype(np.float32)
 
-    def features(self, noise: Array, held: Array, pends: Mask) -> Array:
+    def features(self, noise: Array, passes: Array, pends: Mask) -> Array:
         """What `feature_names` names, a fresh (B, D) array.
 
         Args:
             noise: (B, m) deviations that the filter is told of what was looked at.
-            held: (B,) for how long an action taken now will hold, s.
+            passes: (B,) seconds from instant to instant: an action holds for `interval` of them.
             pends: (B,) whether what was looked at waits for its update.
         """
         out = np.zeros((self.batch, self.observation_size))
@@ -265,6 +265,7 @@ class Loop:
             out[:, at : at + told.shape[1]] = told
             at += told.shape[1]
         if self._memory is not None:
+            held = self.interval * passes
             self._memory.observe(self._pending.mean, held, pends, out[:, at:])
         statistics.complete(self._action, self.status, out)
         return out
@@ -275,18 +276,15 @@ class Loop:
         Args:
             noise, pends: as for `observe`.
         """
-        pending, shape = self._pending, self._pending.innovation.shape
+        innovation, variance = self._pending.innovation.copy(), self._pending.variance.copy()
+        statistics.conceal(pends, innovation, variance)
         told: dict[str, Any] = {
-            "estimate": np.empty(self._update.mean.shape),
-            "nis": np.empty(self.batch),
-            "innovation": np.empty(shape),
-            "innovation_variance": np.empty(shape),
-            "noise": np.empty(shape),
+            "estimate": self._update.mean.copy(),
+            "nis": self._update.nis.copy(),
+            "innovation": innovation,
+            "innovation_variance": variance,
+            "noise": noise.copy(),
         }
-        statistics.tell(
-            self._update.mean, self._update.nis, pending.innovation, pending.variance, noise,
-            pends, *told.values(),
-        )  # fmt: skip
         if self._channels is not None:
             told["innovation_covariance"] = pends[:, None, None] * self._channels.covariance
         return told

@@ -230,11 +230,10 @@ def close(table, running, steps, lost_now, ended):
 
 
 @njit(**KERNEL)
-def recall(scored, times, error, nees, truths, time, last_error, last_nees, truth):
-    """Copy what belongs to the instant that each filter was scored at last."""
+def recall(scored, times, truths, time, truth):
+    """Copy time and truth of the instant that each filter was scored at last."""
     for b in range(scored.shape[0]):
         time[b] = times[b, scored[b]]
-        last_error[b], last_nees[b] = error[b], nees[b]
         for i in range(truth.shape[1]):
             truth[b, i] = truths[b, scored[b], i]
 

@@ -230,19 +230,12 @@ def complete(action, status, out):
 
 
 @njit(**KERNEL)
-def tell(
-    mean, nis, innovation, variance, noise, pends,
-    told_mean, told_nis, told_innovation, told_variance, told_noise,
-):  # fmt: skip
-    """Copy what is told; NaN stands for innovations that do not wait for their update."""
+def conceal(pends, innovation, variance):
+    """NaN stands for innovations that do not wait for their update."""
     for b in range(innovation.shape[0]):
-        told_nis[b] = nis[b]
-        for i in range(mean.shape[1]):
-            told_mean[b, i] = mean[b, i]
-        for c in range(innovation.shape[1]):
-            told_noise[b, c] = noise[b, c]
-            told_innovation[b, c] = innovation[b, c] if pends[b] else nan
-            told_variance[b, c] = variance[b, c] if pends[b] else nan
+        if not pends[b]:
+            for c in range(innovation.shape[1]):
+                innovation[b, c] = variance[b, c] = nan
 
 
 @njit(**KERNEL)
