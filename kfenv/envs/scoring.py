@@ -57,7 +57,7 @@ def score(mean, factor, truth, lines, weight, status, error, nees):
     """
     place, width, angle = lines[0], lines[1], lines[2]
     size, states = lines.shape[1], factor.shape[2]
-    rows, e = np.zeros((size, states)), np.zeros(size)
+    rows, e = np.empty((size, states)), np.empty(size)
     for b in range(mean.shape[0]):
         if status[b] != 0:
             continue
