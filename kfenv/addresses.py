@@ -22,12 +22,14 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
+from numba.core.errors import TypingError
 from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 from numpy.typing import NDArray
 
 KINDS = np.dtype(np.float64), np.dtype(np.int64), np.dtype(bool)
 ELEMENTS = {"f": types.float64, "i": types.int64, "b": types.boolean}
+LETTERS = {element: letter for letter, element in ELEMENTS.items()}
 
 
 class Addresses:
@@ -61,6 +63,32 @@ class Addresses:
 
 def _number(kinds: str) -> int:
     return crc32(kinds.encode())
+
+
+@intrinsic
+def note_addresses(context, table, arrays):
+    """Write the table of an `Addresses` of a tuple of arrays: the faster way for use but once.
+
+    They have to outlive the table's use.
+    """
+    if not all(kind.layout == "C" and kind.mutable for kind in arrays):
+        raise TypingError("A kernel takes writable arrays in C's order alone.")
+    kinds = " ".join(LETTERS[kind.dtype] * kind.ndim for kind in arrays)
+
+    def generate(context, builder, signature, arguments):
+        numbers = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        whole = numbers.type.pointee
+        written = [whole(_number(kinds))]
+        for i, kind in enumerate(arrays):
+            value = builder.extract_value(arguments[1], i)
+            array = context.make_array(kind)(context, builder, value)
+            written.append(builder.ptrtoint(array.data, whole))
+            written += cgutils.unpack_tuple(builder, array.shape, kind.ndim)
+        for i, number in enumerate(written):
+            builder.store(number, builder.gep(numbers, [whole(i)]))
+        return context.get_dummy_value()
+
+    return types.void(table, arrays), generate
 
 
 @intrinsic(prefer_literal=True)

@@ -137,6 +137,7 @@ def test_arrays_of_any_kind_reach_the_kernel_alike(monkeypatch):
 
     tier, status = Engine(variable_turn(), radar()), np.zeros(2, np.int64)
     monkeypatch.setattr(tier, "_kernel", SimpleNamespace(advance=look))
+    monkeypatch.setattr(engine, "_tabulate", look)
     mean, factor = case.mean[::-1, ::-1], np.swapaxes(case.factor, 1, 2)
     pending = Measurement(*(a[:, 1] for a in (case.sensor_inputs, case.measurement, case.noise)))
     for array in pending:

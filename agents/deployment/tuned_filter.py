@@ -218,7 +218,7 @@ class TunedFilter:
     def _arrived(self, z: ArrayLike, noise: ArrayLike | None, s: ArrayLike | None) -> Measurement:
         channels, inputs = len(self.channels), self.scenario.dimensions[1]
         value = _vector("The measurement z", z, channels)
-        if any(map(isinf, value[0])):
+        if any(map(isinf, value[0].tolist())):
             raise ValueError("The measurement z holds infinity: mark what is missing by NaN.")
         noise = self.nominal_noise if noise is None else noise
         known = _vector("The sensor's inputs s", () if s is None else s, inputs)
@@ -271,14 +271,14 @@ def _vector(what: str, value: ArrayLike, size: int) -> Array:
 
 def _numbers(what: str, value: ArrayLike, size: int) -> Array:
     array = _vector(what, value, size)
-    if not all(map(isfinite, array[0])):
+    if not all(map(isfinite, array[0].tolist())):
         raise ValueError(f"{what} holds NaN or infinity, which only a missing channel may have.")
     return array
 
 
 def _deviations(noise: ArrayLike, size: int) -> Array:
     array = _numbers("The noise", noise, size)
-    if not all(value > 0.0 for value in array[0]):
+    if not all(value > 0.0 for value in array[0].tolist()):
         raise ValueError("The noise holds standard deviations, and one of them is not positive.")
     return array
 

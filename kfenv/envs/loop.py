@@ -18,7 +18,7 @@ from kfenv.envs.knobs import choose_knobs, knobs_of, knobs_of_channels
 from kfenv.envs.memory import Memory
 from kfenv.envs.options import ENGINE, FULL, GAUSSIAN_SUMS, Options
 from kfenv.envs.state_knobs import places_of_states
-from kfenv.filters.engine import Engine
+from kfenv.filters.engine import Engine, InPlace
 from kfenv.filters.pointwise import PointwiseFilter
 from kfenv.filters.protocol import Filter, Knobs, Measurement, Status
 from kfenv.filters.results import OK, Prediction, Update
@@ -38,24 +38,20 @@ class _Beside:
         self._filter = filter
 
     def advance_in_place(
-        self, mean: Array, factor: Array, inputs: Array, dt: Array, prediction: Prediction,
-        knobs: Knobs, measurement: Measurement, status: Status, out: Update,
-    ) -> None:  # fmt: skip
+        self, place: InPlace, inputs: Array, dt: Array, measurement: Measurement
+    ) -> None:
         """See `Engine`, as for the others."""
-        self._copy(self._filter.predict, (mean, factor, inputs, dt), status, prediction)
-        self.innovate_in_place(prediction, knobs, measurement, status, out)
+        given = place.mean, place.factor, inputs, dt
+        self._copy(self._filter.predict, given, place.status, place.prediction)
+        self.innovate_in_place(place, measurement)
 
-    def innovate_in_place(
-        self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status,
-        out: Update,
-    ) -> None:  # fmt: skip
-        self._copy(self._filter.innovate, (prediction, knobs, measurement), status, out)
+    def innovate_in_place(self, place: InPlace, measurement: Measurement) -> None:
+        given = place.prediction, place.knobs, measurement
+        self._copy(self._filter.innovate, given, place.status, place.out)
 
-    def update_in_place(
-        self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status,
-        out: Update, *odds: Array,
-    ) -> None:  # fmt: skip
-        self._copy(self._filter.update, (prediction, knobs, measurement), status, out, *odds)
+    def update_in_place(self, place: InPlace, measurement: Measurement, *odds: Array) -> None:
+        given = place.prediction, place.knobs, measurement
+        self._copy(self._filter.update, given, place.status, place.out, *odds)
 
     def _copy(self, method, given: tuple, status: Status, out: tuple, *odds: Array) -> None:
         running = status == OK
@@ -111,6 +107,9 @@ class Loop:
     def _note_addresses(self) -> None:
         """Of what kernels are handed at every instant."""
         pending, status, work = self._pending, self.status, self._work
+        state = self._update.mean, self._update.factor
+        self._looking = InPlace(*state, self._prediction, self._nominal, pending, work)
+        self._correcting = InPlace(*state, self._turned, self._knobs, self._update, work)
         self._turning = Addresses(
             self.factors, self._group_knob, self._channel_knob, self._state_knob,
             self._prediction.noise, status, *self._knobs, self._told, self._turned.noise, work,
@@ -179,9 +178,9 @@ class Loop:
         Args:
             due: (B,) whether the instant is one of the sensor's: fading acts at these alone.
         """
-        turned = self._turn(arrived, due, active)
+        told = self._turn(arrived, due, active)[2]
         odds = (self.factors[:, self._outlier_knob].copy(),) if self.options.mixture else ()
-        self._worker.update_in_place(*turned, self._work, self._update, *odds)
+        self._worker.update_in_place(self._correcting, told, *odds)
         statistics.settle(self._work, active, self.status, self._update.mean, self._update.nis)
 
     def _turn(
@@ -215,10 +214,7 @@ class Loop:
             arrived, dt: as for `look`.
         """
         statistics.select(active, self.status, self._work)
-        self._worker.advance_in_place(
-            self._update.mean, self._update.factor, inputs, dt, self._prediction, self._nominal,
-            arrived, self._work, self._pending,
-        )  # fmt: skip
+        self._worker.advance_in_place(self._looking, inputs, dt, arrived)
         self._notice(arrived, dt, active)
 
     def look(self, arrived: Measurement, dt: Array, active: Mask) -> None:
@@ -228,9 +224,7 @@ class Loop:
             dt: (B,) since the instant before, zero at the first one.
         """
         statistics.select(active, self.status, self._work)
-        self._worker.innovate_in_place(
-            self._prediction, self._nominal, arrived, self._work, self._pending
-        )
+        self._worker.innovate_in_place(self._looking, arrived)
         self._notice(arrived, dt, active)
 
     def _notice(self, arrived: Measurement, dt: Array, active: Mask) -> None:

@@ -10,7 +10,7 @@ from math import log, nan
 
 from numba import njit
 
-from kfenv.filters.transposed import abreast, hand_out
+from kfenv.filters.transposed import abreast, hand_out, put, row_address
 from kfenv.models.namespaces.compiled import INNER, TWO_PI
 from kfenv.models.namespaces.lanes import lanes_of, load, peek, poke, sqrt, store, where_greater
 
@@ -92,27 +92,26 @@ def who_runs(status, first, w):
 @njit(cache=True, **INNER)
 def scatter(source, target, first, runs):
     """Give the filters that run their lanes back, in rows (B, K) of the target."""
-    _scatter(source, target.shape[1], target, first, runs)
+    _scatter(source, target.shape[1], *row_address(target, first), runs)
 
 
 @njit(cache=True, **INNER)
 def scatter_factor(source, target, first, runs):
     """The same for lower factors (B, n, n), whose rows of lanes are zero above the diagonal."""
-    _scatter(source, target.shape[1] * target.shape[1], target, first, runs)
+    _scatter(source, target.shape[1] * target.shape[1], *row_address(target, first), runs)
 
 
 @njit(cache=True, **INNER)
-def _scatter(source, count, target, first, runs):
+def _scatter(source, count, address, stride, runs):
     lanes = lanes_of(source)
     if count >= lanes:
         for k in range(0, count, lanes):
-            hand_out(source, min(k, count - lanes), target, first, runs)
+            hand_out(source, min(k, count - lanes), address, stride, runs)
         return
     for lane in range(lanes):
         if runs >> lane & 1:
-            row = target[first + lane].ravel()
             for k in range(count):
-                row[k] = peek(source, k, lane)
+                put(address + lane * stride, k, peek(source, k, lane))
 
 
 @njit(cache=True, **INNER)

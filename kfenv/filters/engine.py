@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import sys
-from functools import lru_cache, partial
+from dataclasses import dataclass
+from functools import cached_property, lru_cache, partial
 from math import sqrt
 from pathlib import Path
 from types import FunctionType, ModuleType
@@ -15,10 +16,12 @@ from numba import njit
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
+from kfenv.addresses import Addresses, note_addresses
 from kfenv.filters import batch_and_lanes, transposed
 from kfenv.filters.fingerprint import fingerprint
 from kfenv.filters.protocol import Episodes, Knobs, Measurement, elapsed
 from kfenv.filters.results import Prediction, Run, Update
+from kfenv.kernel_cache import KERNEL as DOOR
 from kfenv.models.model import Motion, Sensor
 from kfenv.models.namespaces import compiled, lanes
 from kfenv.models.namespaces.lanes import LANES
@@ -27,6 +30,7 @@ Array = NDArray[np.float64]
 Rows = Any  # of lanes, see `lanes.RowsType`
 Status = NDArray[np.int64]
 FEW = 9  # of so many channels each has a row, heard or not: loops of known length are faster
+TABLE = 1 + 15 + 29  # numbers in a kernel's table: of arrays and of their dimensions
 ENTRY_POINT = {"cache": True, "nogil": True, "no_cfunc_wrapper": True, **compiled.FLOATING_POINT}
 CYCLE, KERNEL = (Path(__file__).with_name(name) for name in ("cycle.py", "kernel.py"))
 
@@ -64,6 +68,28 @@ class Scratch(NamedTuple):
     K: Rows  # gain, a row per channel
 
 
+@dataclass(frozen=True)
+class InPlace:
+    """Arrays that a filter works on, instant after instant.
+
+    In C's order, and of factors zero above the diagonal.
+    """
+
+    mean: Array  # (B, n) from which it predicts
+    factor: Array  # (B, n, n)
+    prediction: Prediction
+    knobs: Knobs
+    out: Update  # of an innovation or an update
+    status: Status
+
+    @cached_property
+    def addresses(self) -> Addresses:
+        """For the kernel."""
+        return Addresses(
+            self.mean, self.factor, *self.prediction, *self.knobs, *self.out, self.status
+        )
+
+
 class Engine:
     """The compiled `kfenv.filters.protocol.Filter`.
 
@@ -99,62 +125,50 @@ class Engine:
     ) -> Prediction:
         """See `Filter.predict`."""
         out = Prediction(np.empty(mean.shape), *np.zeros((2, *factor.shape)))
-        mean, factor, inputs, dt = given = _plain(mean, factor, inputs, dt)
-        unused = dt, dt, inputs, mean, mean, self._scratch, *out[:2], mean, mean, mean, dt, dt
-        self._kernel.advance(True, False, False, *given, *out, *unused, status)
+        mean, factor, inputs, dt = _plain(mean, factor, inputs, dt)
+        unused = Knobs(dt, dt), Update(mean, out.root, mean, mean, mean, dt, dt)
+        table = _table(mean, factor, out, *unused, status)
+        self._advance(True, False, False, table, inputs, dt, inputs, inputs, inputs)
         return out
 
     def innovate(
         self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status
     ) -> Update:
         """See `Filter.innovate`."""
-        given = _plain(*prediction), _plain(*knobs), _plain(*measurement)
-        out = _new_update(prediction, measurement)
-        self.innovate_in_place(*given, status, out)
-        return out
+        return self._look(False, prediction, knobs, measurement, status)
 
     def update(
         self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status
     ) -> Update:
         """See `Filter.update`."""
-        given = _plain(*prediction), _plain(*knobs), _plain(*measurement)
-        out = _new_update(prediction, measurement)
-        self.update_in_place(*given, status, out)
+        return self._look(True, prediction, knobs, measurement, status)
+
+    def _look(self, corrects, prediction, knobs, measurement, status) -> Update:
+        mean, root, noise = _plain(*prediction)
+        known, value, deviation = _plain(*measurement)
+        out, knobs = _new_update(prediction, measurement), Knobs(*_plain(*knobs))
+        table = _table(mean, root, Prediction(mean, root, noise), knobs, out, status)
+        self._advance(False, True, corrects, table, known, knobs[0], known, value, deviation)
         return out
 
-    # What these are given has to be in C's order, and of factors zero above the diagonal.
-
     def advance_in_place(
-        self, mean: Array, factor: Array, inputs: Array, dt: Array, prediction: Prediction,
-        knobs: Knobs, measurement: Measurement, status: Status, out: Update,
-    ) -> None:  # fmt: skip
-        """`predict`, written into the prediction, then `innovate`, written into the last."""
-        self._kernel.advance(
-            True, True, False, mean, factor, inputs, dt, *prediction, *knobs, *measurement,
-            self._scratch, *out, status,
-        )  # fmt: skip
+        self, place: InPlace, inputs: Array, dt: Array, measurement: Measurement
+    ) -> None:
+        """`predict`, then `innovate`."""
+        self._advance(True, True, False, place.addresses.table, inputs, dt, *measurement)
 
-    def innovate_in_place(
-        self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status,
-        out: Update,
-    ) -> None:  # fmt: skip
-        """`innovate`, written into the last."""
-        self._look(False, prediction, knobs, measurement, status, out)
+    def innovate_in_place(self, place: InPlace, measurement: Measurement) -> None:
+        """`innovate`, written where `update` writes."""
+        unused = measurement.inputs, place.knobs.fading
+        self._advance(False, True, False, place.addresses.table, *unused, *measurement)
 
-    def update_in_place(
-        self, prediction: Prediction, knobs: Knobs, measurement: Measurement, status: Status,
-        out: Update,
-    ) -> None:  # fmt: skip
-        """`update`, written into the last."""
-        self._look(True, prediction, knobs, measurement, status, out)
+    def update_in_place(self, place: InPlace, measurement: Measurement) -> None:
+        """`update`."""
+        unused = measurement.inputs, place.knobs.fading
+        self._advance(False, True, True, place.addresses.table, *unused, *measurement)
 
-    def _look(self, corrects, prediction, knobs, measurement, status, out) -> None:
-        mean, root, _ = prediction
-        unused = mean, root, measurement[0], knobs[0]
-        self._kernel.advance(
-            False, True, corrects, *unused, *prediction, *knobs, *measurement, self._scratch, *out,
-            status,
-        )  # fmt: skip
+    def _advance(self, predicts, innovates, corrects, table, *arrived: Array) -> None:
+        self._kernel.advance(predicts, innovates, corrects, table, self._scratch, *arrived)
 
     def run(self, episodes: Episodes, knobs: Knobs | None = None) -> Run:
         """See `Filter.run`; no Python per step, and always in eight lanes."""
@@ -174,6 +188,27 @@ class Engine:
             *result,
         )  # fmt: skip
         return result
+
+
+def _table(
+    mean: Array, factor: Array, prediction: Prediction, knobs: Knobs, out: Update, status: Status
+) -> NDArray[np.int64]:
+    """That of an `InPlace`, of arrays that are used once."""
+    table = np.empty(TABLE, np.int64)
+    _tabulate(table, mean, factor, *prediction, *knobs, *out, status)
+    return table
+
+
+@njit(**DOOR)
+def _tabulate(
+    table, mean, factor, predicted, root, noise, fading, process_scale, new_mean, new_factor,
+    innovation, variance, whitened, nis, log_likelihood, status,
+):  # fmt: skip
+    arrays = (
+        mean, factor, predicted, root, noise, fading, process_scale, new_mean, new_factor,
+        innovation, variance, whitened, nis, log_likelihood, status,
+    )  # fmt: skip
+    note_addresses(table, arrays)
 
 
 def _new_update(prediction: Prediction, measurement: Measurement) -> Update:

@@ -5,6 +5,7 @@ This file is the second of two templates; see ``cycle.py``, whose functions it c
 entry points are what the engine calls and what Numba keeps on disk.
 """
 
+from kfenv.addresses import arrays_at
 from kfenv.filters.batch_and_lanes import (
     BAD_INNOVATION,
     BAD_PREDICTION,
@@ -28,15 +29,16 @@ from kfenv.models.namespaces.lanes import lanes_of, peek
 
 
 @entry_point
-def advance(predicts, innovates, corrects, mean, factor, u, dt, predicted, root, noise, fading,
-            process_scale, s, measurement, deviation, scratch, new_mean, new_factor, innovation,
-            variance, whitened, nis, log_likelihood, status):  # fmt: skip
+def advance(predicts, innovates, corrects, table, scratch, u, dt, s, measurement, deviation):
     """The parts of a cycle that are asked for, each from where the one before it ended.
 
     Time update from mean and factor to the prediction; innovation; measurement update. Filters
     whose status is not zero are left alone. Unless it ``corrects``, new mean and factor are the
-    predicted ones.
+    predicted ones. The table is that of an engine's `InPlace`.
     """
+    (mean, factor, predicted, root, noise, fading, process_scale, new_mean, new_factor, innovation,
+     variance, whitened, nis, log_likelihood, status) = arrays_at(
+         table, "ff fff ff fff fff f f ff fff ff ff ff f f i")  # fmt: skip
     w = scratch_of(scratch)
     for first in range(0, status.shape[0], lanes_of(w.dt)):
         runs = who_runs(status, first, w)

@@ -12,6 +12,8 @@ from numba.extending import intrinsic
 
 from kfenv.models.namespaces.lanes import LanesType
 
+_FLOATS = ir.DoubleType().as_pointer()
+
 
 @intrinsic
 def abreast(context, rows, array, first, index):
@@ -40,31 +42,56 @@ def abreast(context, rows, array, first, index):
 
 
 @intrinsic
-def hand_out(context, rows, index, array, first, takers):
-    """Write as many rows from `index` on as they have lanes: lane l to the array's row first + l.
+def row_address(context, array, row):
+    """Where an array's row is, see `abreast`, and how many bytes on the next one: two numbers.
+
+    Functions that are handed these are compiled but once, for arrays of whatever kind.
+    """
+
+    def generate(context, builder, signature, arguments):
+        target = context.make_array(signature.args[0])(context, builder, arguments[0])
+        stride = builder.extract_value(target.strides, 0)
+        start = builder.ptrtoint(target.data, stride.type)
+        first = builder.add(start, builder.mul(arguments[1], stride))
+        return context.make_tuple(builder, signature.return_type, (first, stride))
+
+    return types.UniTuple(types.intp, 2)(array, types.intp), generate
+
+
+@intrinsic
+def hand_out(context, rows, index, address, stride, takers):
+    """Write as many rows from `index` on as they have lanes: each lane to a row of an array.
 
     Args:
-        array: see `abreast`.
+        address, stride: of the array's row for the first lane, and to the next, in bytes.
         takers: bit l tells whether lane l takes.
     """
 
     def generate(context, builder, signature, arguments):
-        (lanes, _, kind, *_), (rows, index, array, first, takers) = signature.args, arguments
-        target = context.make_array(kind)(context, builder, array)
-        stride = builder.extract_value(target.strides, 0)
-        start = builder.bitcast(target.data, ir.IntType(8).as_pointer())
-        places = (builder.add(index, index.type(row)) for row in range(lanes.lanes))
+        rows, index, address, stride, takers = arguments
+        places = (builder.add(index, index.type(row)) for row in range(signature.args[0].lanes))
         taken = [builder.load(builder.gep(rows, [place]), align=8) for place in places]
         for lane, vector in enumerate(_transposed(builder, taken)):
             bit = builder.and_(takers, takers.type(1 << lane))
             with builder.if_then(builder.icmp_signed("!=", bit, bit.type(0))):
-                row = builder.mul(builder.add(first, first.type(lane)), stride)
-                place = builder.bitcast(builder.gep(start, [row]), ir.DoubleType().as_pointer())
-                place = builder.gep(place, [index])
+                row = builder.add(address, builder.mul(stride, stride.type(lane)))
+                place = builder.gep(builder.inttoptr(row, _FLOATS), [index])
                 builder.store(vector, builder.bitcast(place, rows.type), align=8)
         return context.get_dummy_value()
 
-    return types.void(rows, types.intp, array, types.intp, types.intp), generate
+    return types.void(rows, *[types.intp] * 4), generate
+
+
+@intrinsic
+def put(context, address, index, value):
+    """Write entry `index` of a row."""
+
+    def generate(context, builder, signature, arguments):
+        address, index, value = arguments
+        builder.store(value, builder.gep(builder.inttoptr(address, _FLOATS), [index]))
+        return context.get_dummy_value()
+
+    return types.void(types.intp, types.intp, types.float64), generate
 
 
 def _transposed(builder, vectors):
