@@ -16,6 +16,7 @@ from numba import njit
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
+from kfenv import addresses
 from kfenv.addresses import Addresses, note_addresses
 from kfenv.filters import batch_and_lanes, transposed
 from kfenv.filters.fingerprint import fingerprint
@@ -260,7 +261,7 @@ def _kernel(motion: Motion, sensor: Sensor, kappa: float, width: int) -> ModuleT
         "LANES": width,
     }
     # Numba asks the kernel's file alone whether it changed, so the others are part of the name.
-    modules = compiled, lanes, transposed, batch_and_lanes
+    modules = addresses, compiled, lanes, transposed, batch_and_lanes
     arithmetic = [Path(part).read_text() for part in (*(m.__file__ for m in modules), CYCLE)]
     identity = fingerprint(motion.build, sensor.build, sorted(constants.items()), arithmetic)
     name = f"{__package__}.kernel_{identity}"
