@@ -131,7 +131,7 @@ def assess(
             error[b], nees[b] = lost_distance, nan
 
 
-@njit(**KERNEL)
+@njit(**INNER_KERNEL)
 def note_runaways(statistics, factor, lines, weight, lost_distance, active, error):
     """Put the error just above the loss distance where it is unknown and all speaks for a loss.
 
