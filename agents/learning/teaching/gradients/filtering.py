@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
-from kfenv.filters.engine import Engine
+from kfenv.filters.engine import Engine, InPlace
 from kfenv.filters.protocol import Knobs, Measurement
 from kfenv.filters.results import Prediction, Update
 from kfenv.models.model import Motion, Sensor
@@ -110,7 +110,8 @@ def _run(
         scales = Knobs(*knobs[t, :, :2].T.copy())
         seen = Measurement(series.sensor_inputs[t].copy(), series.measurement[t], told[t])
         update = Update(*(array[t] for array in found))
-        engine.update_in_place(prediction, scales, seen, status, update)
+        place = InPlace(prediction.mean, prediction.root, prediction, scales, update, status)
+        engine.update_in_place(place, seen)
         sound[t] = status == 0
     inputs = np.concatenate([series.motion_inputs, series.dt[:, :, None]], axis=2)
     return predicted._asdict() | {
