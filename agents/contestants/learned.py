@@ -94,7 +94,8 @@ class Learned(Agent):
     def _compare(self, what: str, trained: Sequence[str], size: int, met: Sequence[str]) -> None:
         """Complain of the first difference; an old file tells no more than the size."""
         if size != len(met):
-            raise self._refusal(f"its {what} had {size} numbers and would have {len(met)} here")
+            told = f"its {what} had {size} numbers and would have {len(met)} here"
+            raise self._refusal(told + _difference(trained, met) + ": train one as you ask for it")
         for one, other in zip(trained, met, strict=False):
             if one != other:
                 raise self._refusal(f"its {what} had {one!r} where there is {other!r} here")
@@ -118,6 +119,12 @@ def _scenario_class(env_id: str) -> type | None:
     if spec is None or spec.entry_point is None:
         return None
     return getattr(load_env_creator(spec.entry_point), "scenario_class", None)
+
+
+def _difference(trained: Sequence[str], met: Sequence[str]) -> str:
+    """The first name that only one of them has, if there is one."""
+    gone, new = ([name for name in a if name not in b] for a, b in ((trained, met), (met, trained)))
+    return f", without {gone[0]!r}" if gone else f", with {new[0]!r}" if new else ""
 
 
 def _in_words(knobs: Sequence[Knob]) -> tuple[str, ...]:
