@@ -17,12 +17,12 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from kfenv import addresses
+from kfenv import kernel_cache
 from kfenv.addresses import Addresses, note_addresses
 from kfenv.filters import batch_and_lanes, transposed
 from kfenv.filters.fingerprint import fingerprint
 from kfenv.filters.protocol import Episodes, Knobs, Measurement, elapsed
 from kfenv.filters.results import Prediction, Run, Update
-from kfenv.kernel_cache import KERNEL as DOOR
 from kfenv.models.model import Motion, Sensor
 from kfenv.models.namespaces import compiled, lanes
 from kfenv.models.namespaces.lanes import LANES
@@ -200,7 +200,7 @@ def _table(
     return table
 
 
-@njit(**DOOR)
+@njit(**kernel_cache.KERNEL)
 def _tabulate(
     table, mean, factor, predicted, root, noise, fading, process_scale, new_mean, new_factor,
     innovation, variance, whitened, nis, log_likelihood, status,
