@@ -16,8 +16,7 @@ from numba import njit
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
-from kfenv import addresses
-from kfenv import kernel_cache
+from kfenv import addresses, kernel_cache
 from kfenv.addresses import Addresses, note_addresses
 from kfenv.filters import batch_and_lanes, transposed
 from kfenv.filters.fingerprint import fingerprint
