@@ -40,8 +40,8 @@ def position_rmse(recording, mean):
 
 @pytest.fixture(scope="module")
 def errors():
-    """Position RMSE (12,) of filters on the same episodes."""
-    scenario, recording = InsGnss(**COARSE), episodes(12, COARSE)
+    """Position RMSE (8,) of filters on the same episodes."""
+    scenario, recording = InsGnss(**COARSE), episodes(8, COARSE)
     kept = ("ekf", "ckf", "ackf", "gsckf", "gsaekf", "gsackf")
     designs = {name: ADAPTIVE_DESIGNS[name] for name in kept} | {
         "printed V": replace(ADAPTIVE_DESIGNS["gsackf"], fading=Fading()),

@@ -189,7 +189,7 @@ def largest_difference(one, other):
     return np.max(np.abs(one.error - other.error)[kept])
 
 
-E1 = Study("E1", RadarValidation(), (EKF_PRINTED, EKF, UKF_J, SRUKF_J), 12)
+E1 = Study("E1", RadarValidation(), (EKF_PRINTED, EKF, UKF_J, SRUKF_J), 9)
 E3 = Study(
     "E3",
     replace(jammed_and_lost(loss=20.0), duration=185.0),
@@ -209,7 +209,7 @@ def e3(tmp_path_factory):
 
 
 class TestE1:
-    """SPEC 7.3, numbers 4 to 6, at 12 runs instead of 500: bounds are wider accordingly."""
+    """SPEC 7.3, numbers 4 to 6, at 9 runs instead of 500: bounds are wider accordingly."""
 
     def test_condition_of_a_sound_covariance(self, e1):
         late = E1.time > 25.0
